@@ -150,9 +150,13 @@ def _validate_board(board: "BoardPort", name: str) -> None:
             "add the key `signals` with `preset`, or with `dbc` and `gyro`",
         )
     if not board.facts.uid or not (board.facts.sensor or board.signals.preset):
+        missing = "sensor" if board.facts.uid else "uid"
         raise UsageError(
-            f"{name}: board {board.id} has no identity, because its `facts` lack `uid` or `sensor`",
-            "add `uid` (any unique name) and `sensor` under `facts`",
+            f"{name}: a board with `format: signals` does not identify itself, but board "
+            f"{board.id} has no `{missing}` under `facts`",
+            "add the type of the sensor as `sensor` under `facts`"
+            if board.facts.uid
+            else "choose a name that no other board has, and add it as `uid` under `facts`",
         )
     if board.signals.dbc_file is None:
         resolve_signals(board.signals, board.id)

@@ -269,7 +269,7 @@ def read_document(path: Path) -> bytes:
     if not text.strip():
         raise UsageError(
             f"the file {path} is empty",
-            "write the document as in the examples in the folder config/",
+            "give another file, or write this file like the examples in the folder config/",
         )
     return text
 

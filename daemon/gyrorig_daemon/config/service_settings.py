@@ -63,7 +63,10 @@ def validate_schedule(entries: tuple[ScheduleEntry, ...], name: str) -> None:
         try:
             BoardId(entry.name)
         except InputError as error:
-            raise UsageError(f"{name}: schedule: {error.problem}", error.remedy) from error
+            raise UsageError(
+                f"{name}: in the schedule, {entry.name[:40]!r} is not a valid name of an entry",
+                error.remedy,
+            ) from error
         if (entry.every_h is None) == (entry.at_utc is None):
             raise UsageError(
                 f"{name}: in the schedule, the entry {entry.name} has "

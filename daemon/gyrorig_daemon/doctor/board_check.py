@@ -252,13 +252,17 @@ def _check_identity(subject: str, config: BoardPort, traffic: BoardTraffic) -> l
         )
         findings.append(fault(subject, "wrong_board", message, remedy))
     if not hello.uid and not config.facts.uid:
-        message = "the board has no unique id, so any board on this port would get its calibration"
+        message = (
+            "the board sends no unique id, and the rig file has none. If you connect another board "
+            "to this port, the program treats the two boards as one board"
+        )
         findings.append(
             fault(
                 subject,
                 "no_uid",
                 message,
-                "set `uid` under `facts` of the board in the rig file, and label the board",
+                "choose an id, and set it as `uid` under `facts` of the board in the rig file. "
+                "Write the id on the board, too, to distinguish it from others",
             )
         )
     if traffic.time_requests > 1 and not traffic.time_replies:
@@ -333,7 +337,8 @@ def _check_rate(subject: str, config: BoardPort, traffic: BoardTraffic) -> list[
             warning(
                 subject,
                 "line_full",
-                f"the board sends {summary}, so it cannot catch up after a delay",
+                f"the board sends {summary}. After a delay, the line has too little free capacity "
+                "for the samples that had to wait",
                 remedy,
             )
         ]
@@ -355,15 +360,26 @@ def _check_losses(subject: str, traffic: BoardTraffic) -> list[Finding]:
         )
         findings.append(warning(subject, "damaged", message, remedy))
     slow = traffic.slow
-    if slow is not None and (slow.sensor_overruns or slow.frames_dropped or slow.bus_errors):
-        message = (
-            f"since its start the board has lost {slow.sensor_overruns} samples in the queue "
-            f"of its sensor and {slow.frames_dropped} frames on its line, and has counted "
-            f"{slow.bus_errors} errors of its sensor bus"
-        )
-        remedy = (
-            "for bus errors, check the wires and the pull-up resistors. For lost frames, "
-            "increase the baud rate"
-        )
-        findings.append(warning(subject, "board_losses", message, remedy))
+    if slow is None:
+        return findings
+    for count, event, remedy in (
+        (
+            slow.sensor_overruns,
+            "samples that the sensor lost because the board read them too late",
+            "increase the clock of the sensor bus, or reduce the sample rate",
+        ),
+        (
+            slow.frames_dropped,
+            "frames that the board could not send because the line was busy",
+            "increase the baud rate, or send several samples per frame",
+        ),
+        (
+            slow.bus_errors,
+            "errors on the bus between the board and its sensor",
+            "check the wires and the pull-up resistors of this bus",
+        ),
+    ):
+        if count:
+            message = f"the board reports {count} {event}, counted since the start of the board"
+            findings.append(warning(subject, "board_losses", message, remedy))
     return findings

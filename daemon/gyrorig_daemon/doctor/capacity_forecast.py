@@ -116,7 +116,10 @@ def check_schedule_can_run(
             "the rig file schedules no session, so sessions come only from the queue",
         )
     if motion_is_locked:
-        message = f"the scheduled sessions {names} will not start, because motion is locked"
+        message = (
+            f"the scheduled sessions {names} will not start, because the daemon has locked all "
+            "motion of the rig"
+        )
         return fault(
             SUBJECT, "held", message, "check the rig, then run `gyrorigd clear` to release the lock"
         )

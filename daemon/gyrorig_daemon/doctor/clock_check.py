@@ -74,6 +74,12 @@ def _check_rtc(system: SystemFiles) -> Iterator[Finding]:
 def _check_clock_source(system: SystemFiles) -> Iterator[Finding]:
     source = system.read_text("/sys/devices/system/clocksource/clocksource0/current_clocksource")
     if source in SLOW_CLOCK_SOURCES:
-        message = f"the kernel uses the clock source {source}, which is slow and coarse"
-        remedy = "run `dmesg` to see why the kernel does not use the processor's own counter"
+        message = (
+            f"the kernel reads the time from {source}. Each reading takes 1 us or more, so the "
+            "timestamps of samples are less accurate"
+        )
+        remedy = (
+            "run `dmesg`, and look for the reason why the kernel does not use the processor's own "
+            "counter"
+        )
         yield warning(SUBJECT, "slow_clock", message, remedy)

@@ -57,8 +57,9 @@ def _check_state(status: dict[str, Any]) -> Finding:
             SUBJECT, "held", f"the daemon has locked all motion of the rig ({reason})", remedy
         )
     if state == "waiting":
-        remedy = "remove the cause in parentheses. Sessions then start without further action"
-        return warning(SUBJECT, "waiting", f"the daemon cannot start a session ({reason})", remedy)
+        message = f"the daemon cannot start a session because of this problem: {reason}"
+        remedy = "solve the problem. The daemon then starts the sessions itself"
+        return warning(SUBJECT, "waiting", message, remedy)
     hours = status["uptime_s"] / 3600.0
     message = (
         f"the daemon (process {status['pid']}) has run for {hours:.1f} h, and its state is {state}"
@@ -129,10 +130,13 @@ def _check_recorder(status: dict[str, Any]) -> Iterator[Finding]:
     degraded = status["recorder"].get("degraded")
     if degraded:
         message = (
-            f"the daemon cannot write to the disk ({degraded}), so it records in memory, which "
-            "will soon be full"
+            f"the daemon cannot write to the disk ({degraded}). It keeps new data in memory, and "
+            "this memory will soon be full"
         )
-        remedy = "free space on the disk. If the disk has free space, run `dmesg` to find its fault"
+        remedy = (
+            "free space on the disk. If the disk has free space, run `dmesg` to find the fault of "
+            "the disk"
+        )
         yield fault("disk", "degraded", message, remedy)
 
 

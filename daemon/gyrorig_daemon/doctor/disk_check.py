@@ -127,18 +127,19 @@ def _check_file_system(path: Path, file_system: str) -> Iterator[Finding]:
 def _check_speed(disk: DiskMeasurement, write_times_s: list[float]) -> Iterator[Finding]:
     slowest_s, median_s = max(write_times_s), sorted(write_times_s)[len(write_times_s) // 2]
     summary = (
-        f"the disk writes {disk.write_bytes_s * 1e-6:.1f} MB/s with a sync every 256 kB; one "
-        f"sync takes {median_s * 1e3:.0f} ms, and {slowest_s * 1e3:.0f} ms at most"
+        f"the disk writes {disk.write_bytes_s * 1e-6:.1f} MB/s if all data are synced to it every "
+        f"256 kB. The median of the sync times is {median_s * 1e3:.0f} ms, and the longest is "
+        f"{slowest_s * 1e3:.0f} ms"
     )
     if median_s > FAILING_SYNC_S:
         yield fault(
             SUBJECT,
             "too_slow",
-            summary,
-            "use another disk, because this disk is too slow and loses data",
+            f"{summary}. This disk is too slow, so recordings lose data",
+            "record to another disk",
         )
     elif slowest_s > SLOW_SYNC_S:
-        remedy = "use an SSD, because with this slow disk a power cut loses more data"
-        yield warning(SUBJECT, "slow", summary, remedy)
+        message = f"{summary}. This disk is slow, so a power cut loses more data"
+        yield warning(SUBJECT, "slow", message, "record to a faster disk, such as an SSD")
     else:
         yield ok(SUBJECT, "speed", summary)

@@ -154,7 +154,7 @@ def _compare_with_config(
         )
     if config.dialect == "auto":
         if dialect is None:
-            message = "the dialect of the pan-tilt unit cannot be determined from its replies"
+            message = "the replies of the pan-tilt unit do not show which command dialect it uses"
             findings.append(
                 fault(
                     SUBJECT, "no_dialect", message, "set ptu.dialect in the rig file to d46 or e46"
@@ -162,8 +162,8 @@ def _compare_with_config(
             )
     elif dialect is not None and config.dialect != dialect.value:
         message = (
-            f"the dialect of the pan-tilt unit is {dialect.value}, but the rig file has "
-            f"{config.dialect}"
+            f"the pan-tilt unit uses the command dialect {dialect.value}, but `dialect` under "
+            f"`ptu` in the rig file is {config.dialect}"
         )
         findings.append(
             fault(SUBJECT, "wrong_dialect", message, "set ptu.dialect in the rig file to auto")
@@ -223,13 +223,18 @@ def _check_power(line: DirectPtuLine) -> list[Finding]:
             "use a power supply and wires that give 12 to 30 V at the plug of the unit, also "
             "while it moves"
         )
-        return [warning(SUBJECT, "low_supply", f"{summary}, so it will lose steps", remedy)]
+        message = (
+            f"the supply voltage of the pan-tilt unit is only {power.supply_v:.1f} V. With such a "
+            "low voltage the motors are weak, and the unit loses steps"
+        )
+        return [warning(SUBJECT, "low_supply", message, remedy)]
     if hottest_c > HIGH_MOTOR_TEMPERATURE_C:
         return [
             warning(
                 SUBJECT,
                 "hot",
-                f"{summary}, which is too hot",
+                f"the highest temperature in the pan-tilt unit is {hottest_c:.0f} degC, but it "
+                f"should stay below {HIGH_MOTOR_TEMPERATURE_C:.0f} degC",
                 "reduce the holding current, or let the unit cool down",
             )
         ]

@@ -370,7 +370,10 @@ class PartWriter:
         self._hand_over_to_closer(writer)
         if not self._settings.survives_faults:
             self._writer = None
-            raise MachineError(reason, "free some disk space, and start another recording")
+            raise MachineError(
+                f"the recording was ended, because {reason}",
+                "free some disk space, and start another recording",
+            )
         if self._writer is not None:  # otherwise the flush has failed, and reported it
             self._enter_degraded_state(reason)
 

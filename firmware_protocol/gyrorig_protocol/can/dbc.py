@@ -196,9 +196,10 @@ def _mark_float(line: str, location: str, by_id: dict[int, DbcMessage]) -> None:
         return
     if signal.bit_length != (32 if match[3] == "1" else 64):
         raise UsageError(
-            f"{location} declares the signal {signal.name} as a floating-point number, but "
-            f"its length of {signal.bit_length} bits does not match the type",
-            "write type 1 if the signal has 32 bits, or type 2 if it has 64 bits",
+            f"{location} gives the signal {signal.name} the floating-point type {match[3]}, but "
+            f"the signal has {signal.bit_length} bits",
+            "in the line SIG_VALTYPE_, write 1 for a signal of 32 bits, or 2 for a signal of 64 "
+            "bits",
         )
     message.signals[signal.name] = replace(signal, is_float=True)
 

@@ -181,10 +181,10 @@ def _select_preset(signal_map: SignalMap, board_name: str) -> ImuPreset:
         )
     if signal_map.dbc_file is not None:
         raise UsageError(
-            f"the DBC file {signal_map.dbc_file!r} of board {board_name} was not read: only "
-            "its name is known",
-            "give the rig file to gyrorigd, which reads the DBC file, or put the text of "
-            "the DBC file into the key `dbc`",
+            f"the settings of board {board_name} contain the name of the DBC file "
+            f"{signal_map.dbc_file!r}, but not its text",
+            "put the text of the DBC file into the key `dbc`. Only the daemon reads a DBC "
+            "file that the rig file names",
         )
     if all(axis is None for axis in signal_map.gyro):
         raise UsageError(

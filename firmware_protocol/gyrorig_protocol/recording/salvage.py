@@ -363,8 +363,8 @@ def read_strictly(path: Path) -> dict[str, int]:
     )
     if expected_counts != (sum(counts.values()), attachment_count, metadata_count):
         raise InputError(
-            f"the recording {path} is damaged: its numbers of records differ from those in "
-            "its summary",
+            f"the recording {path} is damaged: it does not contain as many messages, attachments "
+            "and metadata records as its summary states",
             _DISK_REMEDY,
         )
     return dict(counts)

@@ -27,7 +27,7 @@ from gyrorig_solver.apply.correction import Correction
 from gyrorig_solver.data.arrays import BoolArray, FloatArray, IntArray
 from gyrorig_solver.data.count_columns import stored_column
 from gyrorig_solver.data.samples import GyroSamples, load_samples
-from gyrorig_solver.model.board_temperature import BoardTemperature
+from gyrorig_solver.model.board_temperature import MIN_READINGS, BoardTemperature
 
 SAMPLES_PER_BATCH = 1 << 16
 _BOARD_SETTINGS = ("gyro_scale_rad_s", "gyro_full_scale_dps", "bandwidth_hz", "config_hash")
@@ -71,13 +71,13 @@ def apply_to_recording(
         raise UsageError(
             f"the calibration depends on the temperature of the board, but {source.name} "
             "does not contain temperatures",
-            "record the board's thermometer, or solve without thermal_bias and thermal_scale",
+            "record the board's thermometer, or solve the board again with `--extend none`",
         )
     if calibration.correction.needs_force and stored_column(samples, "accel_m_s2") is None:
         raise UsageError(
             f"the calibration depends on the acceleration, but {source.name} does not "
             "contain accelerometer data",
-            "record the board's accelerometer, or solve without g_sensitivity",
+            "record the board's accelerometer, or solve the board again with `--extend none`",
         )
     builder = _MessageBuilder(calibration, samples)
     topic = f"/board/{name}/imu"
@@ -231,8 +231,9 @@ def _die_temperature(samples: GyroSamples, correction: Correction) -> BoardTempe
     if temperature is None:
         raise InputError(
             f"the calibration depends on the temperature of board {samples.board}, but the "
-            "recording contains too few temperatures",
-            "record the board's thermometer, or solve without thermal_bias and thermal_scale",
+            f"recording contains fewer than {MIN_READINGS} readings of it",
+            "record the board's thermometer during the whole session, or solve the board again "
+            "with `--extend none`",
         )
     return temperature
 

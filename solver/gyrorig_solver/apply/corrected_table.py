@@ -72,7 +72,7 @@ def apply_to_table(
         raise UsageError(
             "the calibration contains g_sensitivity, which needs accelerometer data, but a "
             "table cannot provide these data",
-            "apply the calibration to a recording, or solve without g_sensitivity",
+            "apply the calibration to a recording, or solve the board again with `--extend none`",
         )
     if calibration.correction.needs_temperature and columns.temperature is None:
         raise UsageError(

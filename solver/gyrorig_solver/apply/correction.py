@@ -109,13 +109,14 @@ class Correction:
         if self.needs_temperature and temperature_degc is None:
             raise UsageError(
                 "the calibration depends on the temperature, but no temperature is given",
-                "give the temperature of the board, or solve without thermal_bias and "
-                "thermal_scale",
+                "give the temperature of the board, or solve the board again with `--extend none`",
             )
         if self.needs_force and specific_force_m_s2 is None:
             raise UsageError(
-                "the calibration contains g_sensitivity, but no accelerometer readings are given",
-                "give the readings of the accelerometer, or solve without g_sensitivity",
+                "the calibration depends on the acceleration, but no accelerometer readings are "
+                "given",
+                "give the readings of the accelerometer, or solve the board again with "
+                "`--extend none`",
             )
         if self.is_affine:
             return transform_readings(readings, scale_rad_s * self.inverse, self.offset(), out)
@@ -175,7 +176,9 @@ def build_correction(calibration: CalibrationDocument, frame: Frame = "stage") -
             else "read the report of the calibration for the reason"
         )
         raise InputError(
-            f"the calibration of {name} must not be applied, because its verdict is refused", reason
+            f"the calibration of {name} must not be applied, because the solver gave it the "
+            "verdict `refused`",
+            reason,
         )
     bias = _known_values(calibration, "bias", name)
     inverse = _inverse_gain(calibration, frame, name)
@@ -244,7 +247,7 @@ def build_bias_correction(calibration: CalibrationDocument) -> Correction:
     name = f"{calibration.board.id} version {calibration.version}"
     if calibration.trust.verdict == "refused" and calibration.observability.rank == 0:
         raise InputError(
-            f"the calibration of {name} determines no parameter, so it cannot be applied",
+            f"the calibration of {name} has no value for any parameter, so it cannot be applied",
             "read the report of the calibration for the reason, record a motion about all "
             "three axes, and solve again",
         )

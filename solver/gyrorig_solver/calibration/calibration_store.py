@@ -169,7 +169,9 @@ class CalibrationStore:
             if write_file(final, text.encode(), replace=False):
                 return StoredVersion(number, final)
         raise BusyError(
-            f"other solvers write to the store {folder} all the time", "run the command again later"
+            f"the calibration was not added to {folder}: at each of {MAX_ATTEMPTS} attempts, "
+            "another solver had just added one",
+            "run the command again later",
         )
 
 

@@ -62,9 +62,9 @@ def solve_with_paper_method(
         )
     except ValueError as fault:
         raise InputError(
-            f"the paper's method cannot calibrate board {board} ({fault})",
+            f"`--method paper` cannot calibrate board {board} ({fault})",
             "record a motion program with static intervals and moves, such as survey-40, or "
-            "use --method likelihood",
+            "use `--method likelihood`",
         ) from fault
 
 
@@ -184,9 +184,10 @@ def _interpolated_angles(
         answered = polls["status"] & valid != 0
         if int(answered.sum()) < 2:
             raise InputError(
-                f"{recording.path.name} has fewer than two {axis} positions of the pan-tilt unit",
-                "remove `rate_hz` under `ptu: poll` from the rig file, so that the daemon "
-                "polls the unit more often, and record again",
+                f"the recording {recording.path.name} has fewer than two {axis} positions of the "
+                "pan-tilt unit, which is too few for `--method paper`",
+                "remove `rate_hz` under `ptu: poll` from the rig file, so that the daemon asks "
+                "the unit for its position more often, and record again",
             )
         angles.append(np.interp(samples.time_s, middle_s[answered], polls[axis][answered]))
         start_s, end_s = (

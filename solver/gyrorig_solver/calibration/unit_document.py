@@ -97,7 +97,7 @@ def parse_unit(text: str | bytes, name: str) -> UnitPosteriorDocument:
     problem = _find_problem(document)
     if problem is not None:
         raise InputError(
-            f"the unit posterior {name} {problem}",
+            f"the file {name} with the stored posterior of a pan-tilt unit {problem}",
             "restore the file from a backup, or solve with `--unit-prior none`",
         )
     return document

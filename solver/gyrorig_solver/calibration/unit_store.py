@@ -130,10 +130,11 @@ class UnitStore:
         document = parse_unit(data, location)
         if document.unit != unit:
             raise InputError(
-                f"the unit posterior {location} belongs to the pan-tilt unit "
-                f"{document.unit.id} (identified by {document.unit.identified_by}), not to "
-                f"{unit.id} (identified by {unit.identified_by})",
-                "move the file to the folder of its unit, or solve with `--unit-prior none`",
+                f"the file {location} is the stored posterior of the pan-tilt unit "
+                f"{document.unit.id} (identified by {document.unit.identified_by}), but it is in "
+                f"the folder of the unit {unit.id} (identified by {unit.identified_by})",
+                f"move the file to the folder {UNITS_FOLDER}/{document.unit.id}, or solve with "
+                "`--unit-prior none`",
             )
         return StoredPosterior(document, "sha256:" + hashlib.sha256(data).hexdigest())
 

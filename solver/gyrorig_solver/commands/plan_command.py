@@ -188,9 +188,9 @@ def plan_command(terminal: Terminal, /, **options: Any) -> int:
         )
     elif options["out"] is not None:
         raise UsageError(
-            "the option --out writes a found motion program, but without --seconds the "
-            "command does not search for one",
-            "give the length of the motion program with --seconds",
+            "the option --output needs the option --seconds, because the command searches for a "
+            "motion program only if its length is given",
+            "give the length of the motion program with --seconds, or remove --output",
         )
     predictions = [
         p

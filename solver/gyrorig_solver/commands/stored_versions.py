@@ -34,8 +34,9 @@ def find_version(folder: Storage, board: BoardId, number: int) -> tuple[Path, Ca
     if not versions:
         raise _unknown_board_error(folder, board)
     raise InputError(
-        f"the store {folder.location} does not contain version {number} of board {board}",
-        f"choose a version from {versions[0].number} to {versions[-1].number}",
+        f"the store {folder.location} does not contain calibration version {number} of board "
+        f"{board}",
+        f"choose a calibration version from {versions[0].number} to {versions[-1].number}",
     )
 
 
@@ -74,9 +75,9 @@ def versions_in_time(
             *([] if config_hash is None else [f"made with the configuration {config_hash[:20]}"]),
         ]
         raise InputError(
-            f"the store {folder.location} contains no version of board {board} that was "
+            f"the store {folder.location} contains no calibration of board {board} that was "
             f"{' and '.join(conditions)}",
-            f"list the versions of the board with `gyrorig store ls {folder.location} --all "
+            f"list the calibrations of the board with `gyrorig store ls {folder.location} --all "
             f"--board {board}`",
         )
     return matching

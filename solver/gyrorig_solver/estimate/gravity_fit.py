@@ -77,8 +77,9 @@ def fit_gravity(
     """
     if samples.accel_m_s2 is None:
         raise InputError(
-            f"board {samples.board} has no accelerometer in this recording",
-            "record its accelerometer too, or use a reference other than gravity",
+            "a calibration with gravity as the reference needs an accelerometer, but the recording "
+            f"has no accelerometer of board {samples.board}",
+            "record the accelerometer of the board too, or record the board on a pan-tilt unit",
         )
     poses = find_poses(samples.time_s, samples.accel_m_s2, gravity_m_s2, rest_interval)
     rest_bias = _rest_bias(samples, poses)

@@ -152,9 +152,9 @@ def too_short_error(sampling: Sampling) -> InputError:
     """Return the error for a recording without any series, with the minimum duration."""
     min_duration_s = MIN_SERIES_BLOCKS / sampling.rate_hz
     return InputError(
-        f"the recording has no segment of at least {min_duration_s:.2g} s without a gap",
-        "record for longer. A segment ends at a reset of the board or at a gap above "
-        f"{MAX_GAP_S:g} s; `gyrorig check` counts these gaps",
+        f"the recording has no {min_duration_s:.2g} s of samples without an interruption",
+        f"record for longer. Interruptions are resets of the board and gaps above {MAX_GAP_S:g} s; "
+        "`gyrorig check` counts them",
     )
 
 

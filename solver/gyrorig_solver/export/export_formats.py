@@ -44,14 +44,16 @@ def export_text(source: ExportSource, kind: str, options: ExportOptions | None =
         raise UsageError(
             f"the export format {kind} does not use the option --name", "remove the option --name"
         )
-    if chosen.slot is not None and not 0 <= chosen.slot < _GYRO_SLOTS.get(kind, 0):
-        slot_count = _GYRO_SLOTS.get(kind)
-        remedy = (
-            "remove the option --slot"
-            if slot_count is None
-            else (f"choose a slot from 0 to {slot_count - 1} with --slot")
+    if chosen.slot is not None and kind not in _GYRO_SLOTS:
+        raise UsageError(
+            f"the export format {kind} does not use the option --slot", "remove the option --slot"
         )
-        raise UsageError(f"the export format {kind} has no gyro slot {chosen.slot}", remedy)
+    if chosen.slot is not None and not 0 <= chosen.slot < _GYRO_SLOTS[kind]:
+        raise UsageError(
+            f"the option --slot gives the gyro number {chosen.slot}, but the export format {kind} "
+            f"has only {_GYRO_SLOTS[kind]} gyros",
+            f"give a number from 0 to {_GYRO_SLOTS[kind] - 1} with --slot",
+        )
     if chosen.device_id is not None and kind != "px4":
         raise UsageError(
             f"the export format {kind} does not use the option --device-id",

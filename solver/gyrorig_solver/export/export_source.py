@@ -46,8 +46,8 @@ class ExportSource:
         if source.trust.verdict == "refused":
             reasons = source.trust.reasons or ["read the report of the calibration for the reason"]
             raise InputError(
-                f"the calibration of {source.board.id} is not exported, because its verdict "
-                "is refused",
+                f"the calibration of {source.board.id} is not exported, because the "
+                "solver gave it the verdict `refused`",
                 reasons[0],
             )
         try:
@@ -135,9 +135,10 @@ class ExportSource:
         )
         if "g_sensitivity" in causes and "g_sensitivity" not in carried:
             raise InputError(
-                "the calibration contains g_sensitivity, which the export format cannot "
-                "contain, and without it the bias would be wrong",
-                "solve without g_sensitivity for this export, or use the command `gyrorig apply`",
+                "the bias in the calibration depends on the acceleration, but the export format "
+                "can only contain a constant bias",
+                "solve the board again with `--extend none` for this export, or correct the "
+                "measurements with `gyrorig apply`",
             )
         omitted = [cause for cause in causes if cause not in base]
         return [f"not contained in this format: {', '.join(omitted)}"] if omitted else []

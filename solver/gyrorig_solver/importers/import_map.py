@@ -219,7 +219,7 @@ def _check_time(time: TimeBase, name: str) -> None:
             )
     elif sum(given is not None for given in (time.key, time.rate_hz, time.rate_key)) != 1:
         raise UsageError(
-            f"{name} must contain exactly one of the keys `key`, `rate_hz` and `rate_key`",
+            f"{name} must contain one of the keys `key`, `rate_hz` and `rate_key`, and only one",
             "give a column of times (`key`), a sample rate in Hz (`rate_hz`), or an array "
             "that contains the rate (`rate_key`)",
         )

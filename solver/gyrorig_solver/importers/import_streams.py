@@ -198,14 +198,22 @@ def _attitude_stream(
         raise InputError(
             f"the attitude columns have {len(values)} rows, but the gyro columns have "
             f"{time_s.size}",
-            "add `time` under `attitude` in the import map",
+            "give the times of the attitudes with the key `time` under `attitude` in the import "
+            "map",
         )
     is_finite = np.all(np.isfinite(values), axis=1)
     length = np.linalg.norm(values[is_finite], axis=1)
-    if not is_finite.any() or np.any(np.abs(length - 1.0) > 0.01):
+    if not length.size:
         raise InputError(
-            "the attitude columns contain no quaternions of length 1",
-            "correct `keys` and `order` under `attitude` in the import map",
+            "no row of the attitude columns contains four numbers",
+            "correct `keys` under `attitude` in the import map",
+        )
+    if np.any(np.abs(length - 1.0) > 0.01):
+        wrong = int(np.argmax(np.abs(length - 1.0)))
+        raise InputError(
+            f"row {int(np.flatnonzero(is_finite)[wrong]) + 1} of the attitude columns has the "
+            f"length {length[wrong]:.4g}, but a quaternion of an attitude has the length 1",
+            "give the four columns of the quaternion as `keys` under `attitude` in the import map",
         )
     std_rad = float(np.radians(part.std_deg)) if part.std_deg else float("nan")
     return AttitudeStream(

@@ -103,7 +103,8 @@ def values_at_samples(
             raise InputError(
                 f"the {stream} columns have {len(values)} rows, but the gyro columns have "
                 f"{time_s.size}",
-                f"add `time` under `{stream}` in the import map",
+                f"give the times of the {stream} rows with the key `time` under `{stream}` in the "
+                "import map",
             )
         return values[row]
     if base_s.size == time_s.size and np.array_equal(base_s, time_s):
@@ -111,8 +112,8 @@ def values_at_samples(
     after = np.clip(np.searchsorted(base_s, time_s[row]), 1, max(base_s.size - 1, 1))
     if base_s.size < 2:
         raise InputError(
-            f"the {stream} columns have only {base_s.size} rows",
-            f"remove the {stream} from the import map",
+            f"the {stream} columns have only {base_s.size} rows, but at least 2 are needed",
+            f"remove `{stream}` from the import map, or give columns with more rows",
         )
     nearer = np.abs(base_s[after - 1] - time_s[row]) <= np.abs(base_s[after] - time_s[row])
     nearest = np.where(nearer, after - 1, after)

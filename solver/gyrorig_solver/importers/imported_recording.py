@@ -48,8 +48,8 @@ def check_recording_name(out: Path) -> None:
     """
     if out.suffix != ".mcap":
         raise UsageError(
-            f"the output file {out.name} does not have the name of a recording",
-            "choose a name that ends in .mcap",
+            f"the name of the output file {out.name} does not end in .mcap",
+            "give a name that ends in .mcap with --output",
         )
 
 

@@ -126,9 +126,10 @@ def _phases_from_file(sections: SectionFile, imu: ImuStream, folder: Path) -> li
         document = json.loads(path.read_bytes())
     except OSError as error:
         raise InputError(
-            f"the section list {path} cannot be read ({error.strerror})",
-            "put the section list into the folder of the input file, and give its file name "
-            "as `name` under `sections` in the import map",
+            f"the import map names {sections.name} as the file with the list of sections, but "
+            f"{path} cannot be read ({error.strerror})",
+            "put this file into the folder of the input file, or correct `name` under `sections` "
+            "in the import map",
         ) from error
     except (ValueError, RecursionError) as error:
         raise InputError(
@@ -163,9 +164,10 @@ def _phases_from_mask(
 ) -> list[SessionPhase]:
     if mask.size <= int(imu.row[-1]):
         raise InputError(
-            f"the static mask has {mask.size} rows, but the gyro columns have "
-            f"{int(imu.row[-1]) + 1}",
-            "under `static_mask` in the import map, give a column with one row per sample as `key`",
+            f"the column of `static_mask`, which marks the rests, has {mask.size} rows, but the "
+            f"gyro columns have {int(imu.row[-1]) + 1}",
+            "correct `key` under `static_mask` in the import map: its column needs one row per "
+            "gyro sample",
         )
     still = np.concatenate([[False], mask[imu.row] == value, [False]])
     edges = np.flatnonzero(np.diff(still.astype(np.int8)))

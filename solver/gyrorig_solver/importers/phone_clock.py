@@ -72,8 +72,8 @@ def find_phone_clock(
         if late_s.size < 3:
             raise InputError(
                 f"the phone's log has only {late_s.size} intervals of 10 s with enough "
-                "motion to compare the clocks, but 3 are needed",
-                "record a motion of the phone of at least a minute",
+                "motion to compare the phone's clock with that of the rig, but 3 are needed",
+                "record again, and turn the phone with the unit for at least a minute",
             )
         line = np.stack([np.ones_like(centre_s), centre_s - offset_s], axis=1)
         fit, cov = _robust_line(line, late_s, weight)
@@ -111,15 +111,15 @@ def _find_lag(phone: FloatArray, unit: FloatArray) -> tuple[int, float]:
     correlation = float(overlap_a @ overlap_b) / max(norm, 1e-30)
     if correlation < MIN_CORRELATION:
         raise InputError(
-            "the motion of the phone differs from that of the pan-tilt unit, because their "
-            f"correlation is only {correlation:.2f}",
-            "give the recording of the unit that was made during the phone's log",
+            "the phone did not move together with the pan-tilt unit: the correlation of their "
+            f"rates is only {correlation:.2f}",
+            "give the recording that was made at the same time as the phone's log",
         )
     if others.max() > MAX_SECOND_SHARE * cross[best]:
         raise InputError(
-            "the motion is periodic, so the phone's log fits the recording of the unit at "
-            "more than one time",
-            "record a motion program that does not repeat itself, such as survey-130",
+            "the motion repeats itself, so the program cannot determine at which time of the "
+            "unit's recording the phone's log began",
+            "record again with a motion program that does not repeat itself, such as survey-130",
         )
     return lag, correlation
 

@@ -83,8 +83,9 @@ def import_phone(
         unit = read_recording(unit_recording)
         if str(name) in map(str, unit.board_ids):
             raise UsageError(
-                f"the recording {unit_recording.name} already has a board with the name {name}",
-                "give the phone another name with --board",
+                f"the phone would get the name {name}, but a board in the recording "
+                f"{unit_recording.name} already has this name",
+                "choose another name for the phone with --board",
             )
         clock = _find_phone_clock(log, since_s, unit)
         notes.append(_clock_note(clock))

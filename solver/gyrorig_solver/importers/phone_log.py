@@ -281,9 +281,10 @@ def _stamps_in_ns(timestamps: FloatArray, name: str, where: str) -> IntArray:
                 )
             return np.asarray(np.rint(times), dtype=np.int64)
     raise InputError(
-        f"the timestamps in {where} have steps of {step:g}, which is not a rate of 4 to 2000 "
-        "Hz in any unit of time",
-        "give the unit of the timestamps in a column map, and import the file as csv",
+        f"the unit of the timestamps in {where} is unknown: they increase by {step:g} per sample, "
+        "and in ns, us, ms and s this is not a sample rate of 4 to 2000 Hz",
+        "write a column map with the unit of the timestamps, and import the log with the format "
+        "csv",
     )
 
 

@@ -147,7 +147,8 @@ def _check_same_settings(recordings: Sequence[Recording], samples: Sequence[Gyro
             value, other_value = first[1].metadata.get(key), other.metadata.get(key)
             if value != other_value:
                 raise UsageError(
-                    f"the recordings {first[0].path.name} and {recording.path.name} have different "
-                    f"settings of the board ({key} {value} and {other_value})",
-                    "solve each of these recordings separately",
+                    f"the setting {key} of board {other.board} differs: it is "
+                    f"{value or 'not given'} in the recording {first[0].path.name}, and "
+                    f"{other_value or 'not given'} in {recording.path.name}",
+                    "solve these two recordings separately",
                 )

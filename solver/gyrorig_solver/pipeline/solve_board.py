@@ -230,8 +230,10 @@ def _requested_causes(calibration: CalibrationDocument) -> tuple[str, ...]:
         if settings_sha256(likelihood_settings(extend)) == calibration.solver.config_sha256:
             return extend
     raise InputError(
-        f"the calibration of {calibration.board.id} does not contain the settings of its solve",
-        "leave out the recordings to get a report without figures, or solve them again",
+        "the figures of the report cannot be drawn, because the calibration of "
+        f"{calibration.board.id} was made with settings that this program does not know",
+        "leave out the recordings to get the report without figures, or calibrate from them again "
+        "with `gyrorig solve`",
     )
 
 
@@ -258,9 +260,9 @@ def _solve_by_paper(
 ) -> tuple[DocumentBuilder, Callable[[CalibrationDocument], ReportData]]:
     if len(data.recordings) > 1:
         raise UsageError(
-            "the paper's method calibrates from one recording, but "
-            f"{len(data.recordings)} recordings are given",
-            "give one recording",
+            "the option `--method paper` needs exactly one recording, but "
+            f"{len(data.recordings)} are given",
+            "give one recording, or use `--method likelihood`",
         )
     (recording,), (samples,), board = data.recordings, data.samples, BoardId(data.board)
     result = solve_with_paper_method(recording, board, samples)

@@ -104,15 +104,16 @@ def _check_fittable(cause: str) -> None:
     requested_term = find_term(cause)
     if requested_term.kind == "gauge":
         raise UsageError(
-            f"the solver cannot fit the cause {cause}, because the parameters of the base model "
-            "absorb its effect completely",
-            f"leave out this cause. A measurement that shows it: {requested_term.excitation}",
+            f"the option --extend names {cause}, but the motion cannot separate this error from "
+            "the bias, the time offset and the sensor matrix",
+            f"remove {cause} from --extend. To detect it, use {requested_term.excitation}",
         )
     if requested_term.kind not in ("effect", "known"):
         raise UsageError(
-            f"the solver cannot fit the cause {cause} to the rates",
-            "leave out this cause and run `gyrorig explain`, which searches for it. The search "
-            f"needs this in the recording: {requested_term.excitation}",
+            f"the option --extend names {cause}, but this error changes only the noise or single "
+            "samples, so a fit to the rates cannot estimate it",
+            f"remove {cause} from --extend, and search for it with `gyrorig explain`. The search "
+            f"needs {requested_term.excitation}",
         )
     if (
         any(p.role != "size" for p in requested_term.parameters)

@@ -102,8 +102,8 @@ def read_attitude(
     is_unit_length = np.abs(length - 1.0) < LENGTH_TOLERANCE
     if not is_unit_length.any():
         raise InputError(
-            "the recording has no reference attitude whose quaternion has length 1",
-            "check the quaternion's columns in the import map, and import the data again",
+            "none of the reference attitudes in the recording is a quaternion of length 1",
+            "check the columns of the quaternion in the import map, and import the data again",
         )
     orientation = np.where(is_unit_length[:, None], orientation_xyzw, np.nan)
     is_given = np.isfinite(standard_deviation_rad) & (standard_deviation_rad > 0.0)

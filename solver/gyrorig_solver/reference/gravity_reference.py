@@ -192,7 +192,11 @@ def _moving_variance(time_s: FloatArray, accel: FloatArray) -> FloatArray:
     step_s = float(np.median(np.diff(time_s)))
     half = max(2, round(0.5 * VARIANCE_WINDOW_S / step_s))
     if len(accel) < 4 * half:
-        raise InputError("the recording is too short to detect rests", "make a longer recording")
+        raise InputError(
+            f"the recording has only {len(accel)} samples of the accelerometer, but at least "
+            f"{4 * half} are needed to detect rests",
+            "record for longer",
+        )
     centred = accel - accel.mean(axis=0)
     sums = np.concatenate([np.zeros((1, 3)), np.cumsum(centred, axis=0)])
     square_sums = np.concatenate([np.zeros((1, 3)), np.cumsum(centred**2, axis=0)])

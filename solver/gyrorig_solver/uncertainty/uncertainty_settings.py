@@ -182,8 +182,9 @@ def _read_drifts(document: SettingsDocument, name: str) -> dict[str, float]:
         term = find_term(cause)
         if not term.is_persistent:
             raise UsageError(
-                f"the cause {cause} under `drift_per_day` in {name} is not a persistent cause",
-                f"remove {cause} from this section",
+                f"{name} gives a drift of {cause} under `drift_per_day`, but this error does not "
+                "last from one recording to the next",
+                f"remove {cause} from `drift_per_day`",
             )
         factor = _factor(name, f"drift_per_day: {cause}", entry.unit, _size_unit(term))
         drifts[cause] = entry.std * factor

@@ -101,7 +101,7 @@ def test_an_emulated_bus_must_carry_its_boards() -> None:
 def test_a_dbc_file_is_read_next_to_the_configuration(tmp_path: Path, encoding: str) -> None:
     signals = "{dbc: imu.dbc, gyro: [Rates.X, null, null]}"
     text = GOOD.replace("{preset: j1939, source_address: 128}", signals)
-    with pytest.raises(UsageError, match=r"Add `uid` .* and `sensor` under `facts`"):
+    with pytest.raises(UsageError, match=r"has no `sensor` under `facts`\. Add the type"):
         parse_rig(text, "rig.yaml")
     text = text.replace("{uid: MTLT-7}", "{uid: MTLT-7, sensor: MTLT}")
     (tmp_path / "rig.yaml").write_text(text)

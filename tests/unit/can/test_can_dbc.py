@@ -147,7 +147,7 @@ def test_presets_are_read_as_cantools_reads_them(name: str) -> None:
         ("BO_ 1 M: 8 A\nBO_ 1 M: 8 A\n", "defines the message M, but its name or its identifier"),
         (
             'BO_ 1 M: 8 A\n SG_ S : 0|16@1+ (1,0) [0|0] "" A\nSIG_VALTYPE_ 1 S : 1;\n',
-            "as a floating-point number, but its length of 16 bits",
+            "the floating-point type 1, but the signal has 16 bits",
         ),
     ],
 )

@@ -158,7 +158,7 @@ def test_the_signal_parser_never_raises(frames: list[CanFrame], preset: bool) ->
         (rate_map(gyro=["Rates.Count", None, None]), "gyro_unit"),
         (rate_map(time="Rates.Count"), "tick_hz"),
         (rate_map(counter="Rates.X"), "unsigned"),
-        (rate_map(dbc="imu.dbc"), "only its name is known"),
+        (rate_map(dbc="imu.dbc"), "but not its text"),
     ],
 )
 def test_the_error_names_the_fault_of_a_map(chosen: SignalMap, problem: str) -> None:

@@ -213,11 +213,11 @@ def test_random_draws_causes_that_differ_and_depend_on_the_seed() -> None:
         ("", "knows no cause with the name"),
         ("backlsh:1e-3", "id you mean backlash"),
         ("backlash:much", "a number in rad, for example 0.0009"),
-        ("backlash:nan", "of the cause backlash is not a number"),
-        ("backlash:-1e-3", "is negative, but this cause has no sign"),
+        ("backlash:nan", "of the simulated error backlash is not a number"),
+        ("backlash:-1e-3", "is -0.001, but it must not be negative"),
         ("backlash:3", "is outside the allowed range"),
         ("saturation:0", "is outside the allowed range"),
-        ("lost_steps:1.5", "is not a whole number"),
+        ("lost_steps:1.5", "it must be a whole number"),
         ("random:3", "Write only --hide random"),
     ],
 )
@@ -232,7 +232,7 @@ def test_what_cannot_be_is_refused_with_the_way_out(text: str, words: str) -> No
     [
         (("backlash@z",), "After @, write one of pan, tilt"),
         (("warm_up@tilt",), "After @, write one of x, y, z, GY80-1"),
-        (("warm_up@C.x",), "cannot be injected at"),
+        (("warm_up@C.x",), "is not a place where"),
         (("clock_offset@x",), "After @, write one of GY80-1"),
         (("earth_rotation@x",), "without @ and a place"),
         (("backlash@pan", "backlash@pan:1e-3"), "injected twice"),

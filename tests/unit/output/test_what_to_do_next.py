@@ -42,7 +42,10 @@ def test_a_file_that_is_gone_meanwhile(tmp_path: Path) -> None:
 
 def test_too_short_says_how_long() -> None:
     message = str(too_short_error(Sampling(100.0, 8, None, 0.0, differentiated=False)))
-    assert "segment of at least 0.64 s without a gap. Record for longer. A segment ends" in message
+    assert (
+        "has no 0.64 s of samples without an interruption. Record for longer. Interruptions are"
+        in message
+    )
 
 
 def test_a_rig_that_is_not_there(tmp_path: Path) -> None:

@@ -145,7 +145,7 @@ def test_no_common_stretch_is_refused(samples_of: Maker) -> None:
 def test_invalid_attitudes_are_rejected() -> None:
     time_s = np.arange(10.0)
     q = np.tile([0.0, 0.0, 0.0, 1.0], (10, 1))
-    with pytest.raises(InputError, match="no reference attitude whose quaternion has length 1"):
+    with pytest.raises(InputError, match="recording is a quaternion of length 1"):
         read_attitude(time_s, 3.0 * q, np.zeros(10))
     with pytest.raises(InputError, match="do not increase"):
         read_attitude(time_s[::-1], q, np.zeros(10))

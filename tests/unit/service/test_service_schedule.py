@@ -165,7 +165,7 @@ def test_the_longest_waiting_goes_first_and_a_disk_that_refuses_is_lived_with(
             "the entry a has two times",
         ),
         ('{name: a, program: p, at_utc: "25:00"}', "is not a time of day"),
-        ("{name: ../a, program: p, every_h: 1.0}", "is not a valid board name"),
+        ("{name: ../a, program: p, every_h: 1.0}", "is not a valid name of an entry"),
         (
             "{name: a, program: p, every_h: 1.0}, {name: a, program: p, every_h: 2.0}",
             "two entries with the name a",

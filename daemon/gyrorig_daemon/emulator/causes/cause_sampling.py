@@ -103,8 +103,9 @@ def _sample_component(
     is_on_board = cause.is_on_board()
     if is_on_board and not boards:
         raise UsageError(
-            f"the cause {cause.name} acts on a board, but no board of this rig is emulated",
-            "write `emulated` as the port of a board, or inject a cause that acts on the "
+            f"the simulated error {cause.name} acts on a board, but no board of this rig is "
+            "emulated",
+            "write `emulated` as the port of a board, or choose an error that acts on the "
             "pan-tilt unit",
         )
     board = settings.boards[int(rng.integers(len(boards)))] if boards else BoardSettings()
@@ -126,8 +127,8 @@ def _sample_component(
         else:
             remedy = f"write {cause.name} without @ and a place"
         raise UsageError(
-            f"the cause {cause.name} cannot be injected at {text!r:.40}, because it does "
-            "not act there",
+            f"the text {text!r:.40} after @ is not a place where the simulated error "
+            f"{cause.name} can act",
             remedy,
         )
     return board, sampled

@@ -49,20 +49,25 @@ def _parse_size(cause: type[Cause], text: str) -> float:
         size = math.nan
     shown = f"give the size as a number in {cause.unit}, for example {cause.typical:g}"
     if not math.isfinite(size):
-        raise UsageError(f"the size {text!r:.40} of the cause {cause.name} is not a number", shown)
+        raise UsageError(
+            f"the size {text!r:.40} of the simulated error {cause.name} is not a number", shown
+        )
     if size < 0.0 and not cause.is_signed:
         raise UsageError(
-            f"the size {size:g} of the cause {cause.name} is negative, but this cause has no sign",
+            f"the size of the simulated error {cause.name} is {size:g}, but it must not be "
+            "negative",
             shown,
         )
     if not cause.min_size <= abs(size) <= cause.max_size:
         limits = f"from {cause.min_size:g} to {cause.max_size:g}"
         raise UsageError(
-            f"the size {size:g} of the cause {cause.name} is outside the allowed range",
+            f"the size {size:g} of the simulated error {cause.name} is outside the allowed range",
             f"{shown}, {limits}",
         )
     if cause.is_integer and size != round(size):
         raise UsageError(
-            f"the size {size:g} of the cause {cause.name} is not a whole number", shown
+            f"the size of the simulated error {cause.name} is {size:g}, but it must be a whole "
+            "number",
+            shown,
         )
     return size

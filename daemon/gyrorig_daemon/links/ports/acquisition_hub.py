@@ -91,7 +91,8 @@ class AcquisitionHub:
             ) from fault
         if self._child.stdin is None or self._child.stdout is None:
             raise MachineError(
-                "the acquisition process was started without pipes", "start the program again"
+                "the operating system created no pipes to the acquisition process",
+                "start the program again",
             )
         self._commands_fd = self._child.stdin.fileno()
         self._reports_fd = self._child.stdout.fileno()
@@ -305,5 +306,6 @@ class AcquisitionHub:
             )
         raise PortsGoneError(
             reason,
-            "check that the pan-tilt unit has stopped, because it did not confirm the halt command",
+            "check that the pan-tilt unit has stopped, because the unit did not confirm the halt "
+            "command",
         )

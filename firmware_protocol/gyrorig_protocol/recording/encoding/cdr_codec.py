@@ -99,8 +99,8 @@ class CdrDecoder:
     def __init__(self, data: bytes) -> None:
         if data[:4] != ENCAPSULATION:
             raise InputError(
-                f"a message of the recording has the CDR header {data[:4].hex()} instead of "
-                "00010000",
+                "a message of the recording is damaged: its first four bytes are "
+                f"{data[:4].hex()} instead of 00010000",
                 _REMEDY,
             )
         self._data = data
@@ -159,8 +159,8 @@ class CdrDecoder:
         count = self.read_integer("I")
         if count * min_element_bytes > len(self._data) - self._offset:
             raise InputError(
-                f"a message of the recording is damaged: it is too short for the {count} "
-                "list elements that it states",
+                f"a message of the recording is damaged: it announces a list of {count} elements, "
+                "but is too short for such a list",
                 _REMEDY,
             )
         return count

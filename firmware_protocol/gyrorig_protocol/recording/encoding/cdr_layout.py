@@ -95,8 +95,8 @@ def _lay_out_struct(
         )
     if depth > _MAX_DEPTH:
         raise InputError(
-            f"a schema of the file nests message types more than {_MAX_DEPTH} levels deep, at "
-            f"{name}",
+            f"in a schema of the file, the message type {name} is nested in more than "
+            f"{_MAX_DEPTH} other types",
             _SCHEMA_REMEDY,
         )
     if not definitions[name]:

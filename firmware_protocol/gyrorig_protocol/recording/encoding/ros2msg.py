@@ -50,8 +50,8 @@ def parse_definitions(type_name: str, text: str) -> Definitions:
     """
     if len(text) > MAX_SCHEMA_CHARS:
         raise InputError(
-            f"the schema of the message type {type_name} is too long: it has {len(text)} "
-            "characters",
+            f"the schema of the message type {type_name} has {len(text)} characters, but at most "
+            f"{MAX_SCHEMA_CHARS} are allowed",
             _SCHEMA_REMEDY,
         )
     main_text, *dependencies = _SEPARATOR_PATTERN.split(text)

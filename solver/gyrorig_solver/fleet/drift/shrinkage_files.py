@@ -60,9 +60,9 @@ def write_shrinkage_estimates(store: Path | Storage, overview: FleetOverview) ->
             data = path.read_bytes()
     except (OSError, duckdb.IOException) as fault:
         raise MachineError(
-            "the program cannot write the shrinkage estimates "
+            "the temporary file with the shrinkage estimates of the fleet cannot be written "
             f"({' '.join(str(fault).split())[:200]})",
-            "free some disk space for temporary files",
+            "free some space on the disk for temporary files",
         ) from fault
     storage.write_new(name, data)
     return name

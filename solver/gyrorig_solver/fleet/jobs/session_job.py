@@ -169,7 +169,7 @@ def failure_row(
 
 def _solve_boards(job: Job) -> Iterator[IndexRow]:
     if job.rejection:
-        raise InputError(job.rejection, "keep only one of the recordings in the spool")
+        raise InputError(job.rejection, "remove the shorter copy from the spool")
     recordings = []
     for path in job.paths:
         # A recording is memory-mapped: its file can be removed after it is read.

@@ -81,7 +81,8 @@ class BucketStore(CalibrationStore):
             if self.storage.write_new(name.as_posix(), text.encode()):
                 return StoredVersion(number, name, self._read_object)
         raise BusyError(
-            f"other solvers write to {self.folder_of(board)} all the time",
+            f"the calibration was not added to {self.folder_of(board)}: at each of "
+            f"{MAX_ATTEMPTS} attempts, another solver had just added one",
             "run the command again later",
         )
 

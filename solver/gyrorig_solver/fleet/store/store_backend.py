@@ -87,8 +87,8 @@ def exclusive_access(storage: Storage) -> Iterator[None]:
     ):
         if not no_batch_runs:
             raise BusyError(
-                f"a batch is writing to the store {storage.location}",
-                "wait until the batch has ended",
+                f"another command, `gyrorig batch`, is writing to the store {storage.location}",
+                "wait until that command has ended",
             )
         yield
 
