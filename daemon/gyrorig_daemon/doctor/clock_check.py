@@ -31,7 +31,10 @@ def _check_utc(system: SystemFiles, clocks: HostClocks) -> Iterator[Finding]:
     services = sorted(set(TIME_SERVICES) & system.running_programs())
     time_text = time.strftime("%Y-%m-%d %H:%M:%S UTC", time.gmtime(clocks.realtime_ns // 10**9))
     if clocks.realtime_ns < EARLIEST_VALID_NS:
-        message = f"the system clock shows {time_text}, so it was never set"
+        message = (
+            f"the system clock shows {time_text}, which is in the past, because no program has set "
+            "the clock since the start of the computer"
+        )
         remedy = (
             "connect the computer to a network with a time server, or set the clock with "
             "`timedatectl set-time ...`"

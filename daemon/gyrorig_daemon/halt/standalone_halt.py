@@ -148,8 +148,8 @@ def _no_unit_error(line: DirectPtuLine, bauds: Sequence[int]) -> DeviceError:
         return DeviceError(
             f"the halt command was sent, but the device on {line.port} only returns the "
             "bytes that it receives",
-            "check whether the unit is homing, because it then echoes all input until it "
-            "stops. If it is not, check the port",
+            "check whether the unit is homing: it then returns all bytes until it stops. If the "
+            "unit is not homing, check which device is connected to this port",
         )
     return DeviceError(
         f"the halt command was sent, but the device on {line.port} is not a pan-tilt unit, "

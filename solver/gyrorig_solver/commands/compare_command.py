@@ -69,8 +69,8 @@ def _compare(
     content = parse_yaml(read_document(reference), str(reference), InputError)
     if not isinstance(content, dict):
         raise InputError(
-            f"the file {reference} contains no true values",
-            "give a truth file, or a second calibration",
+            f"the reference file {reference} contains neither true values nor a calibration",
+            "give the truth file that `gyrorigd record --truth` wrote, or a second calibration",
         )
     if content.get("schema") == SCHEMA:
         return compare_calibrations(document, read_calibration(reference)[0]), "other"

@@ -144,7 +144,7 @@ def positive_number(metadata: Mapping[str, str], key: str) -> float | None:
     if not np.isfinite(value) or value <= 0.0:
         raise InputError(
             f"the value {text[:40]!r} of {key} in the recording is not a positive number",
-            f"correct {key} in the rig file or in the import map, and record or import again",
+            "correct this key in the rig file or in the import map, and record or import again",
         )
     return value
 

@@ -204,14 +204,15 @@ def rebuild_report_data(
     needed = {row.sha256: row.name for row in calibration.inputs}
     for missing in needed.keys() - given.keys():
         raise InputError(
-            f"the calibration of {calibration.board.id} was solved from {needed[missing]}, "
-            "which is not among the given recordings",
+            f"the calibration of {calibration.board.id} was solved from the recording "
+            f"{needed[missing]}, which is not among the given recordings",
             "give all recordings that the calibration was solved from, or give none",
         )
     for other in given.keys() - needed.keys():
         raise InputError(
-            f"the calibration of {calibration.board.id} was not solved from {given[other]}",
-            "leave out this recording",
+            f"the calibration of {calibration.board.id} was not solved from the recording "
+            f"{given[other]}",
+            "give only the recordings that the calibration was solved from",
         )
     if calibration.solver.method == "paper":
         return ReportData(calibration, profile=find_profile(calibration.board.sensor))

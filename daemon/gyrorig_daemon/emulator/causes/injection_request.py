@@ -26,9 +26,9 @@ def parse_injection(text: str) -> InjectionRequest:
     if name == RANDOM:
         if colon or component:
             raise UsageError(
-                f"the option --hide {text} is not valid, because a random cause cannot have a "
-                "size or a place",
-                "write only --hide random",
+                f"the option --hide {text} is not valid, because `random` also chooses the place "
+                "and the size of the error",
+                "write only --hide random, or replace `random` by the name of an error",
             )
         return InjectionRequest(RANDOM)
     cause = CAUSES.get(name)

@@ -153,8 +153,9 @@ def query_columns(index: StoreIndex, sql: str) -> dict[str, npt.NDArray[Any]]:
             answer: dict[str, npt.NDArray[Any]] = database.execute(sql).fetchnumpy()
         except duckdb.Error as fault:
             raise InputError(
-                f"the index of the store cannot be read ({' '.join(str(fault).split())[:200]})",
-                "write the index again from the calibrations with `gyrorig store "
+                "the index of the store, a list of its calibrations, cannot be read "
+                f"({' '.join(str(fault).split())[:200]})",
+                "make the index again from the calibrations with `gyrorig store "
                 "rebuild-index STORE`",
             ) from fault
     return answer

@@ -173,8 +173,8 @@ def _manifest_text(storage: Storage, index_file: str) -> bytes:
                 ).fetchall()
         except duckdb.Error as fault:
             raise InputError(
-                f"the file {index_file} of the store {storage.location} cannot be read",
-                "write the file again from the calibrations with `gyrorig store "
+                f"the index {index_file} of the store {storage.location} cannot be read",
+                "make the index again from the calibrations with `gyrorig store "
                 f"rebuild-index {storage.location}`",
             ) from fault
     for file, digest, companions in rows:

@@ -245,7 +245,8 @@ def _byte_s(metadata: Mapping[str, str]) -> float:
     baud = _finite_number(metadata, "baud") or FACTORY_BAUD
     if baud < 0.0:
         raise InputError(
-            f"the unit's baud rate in the recording is {baud:g}, but it must be above 0",
+            f"the recording states {baud:g} as the baud rate of the pan-tilt unit, but a baud rate "
+            "is above 0",
             "copy the recording again from the rig, or record again",
         )
     return BITS_PER_BYTE / baud
