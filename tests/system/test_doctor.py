@@ -194,7 +194,7 @@ def test_nothing_on_either_port(
     assert findings["unit silent"]["level"] == findings["board B-1 silent"]["level"] == "fault"
     with device(lambda sent, _: sent) as unit:
         _, findings = doctor(rig_yaml(tmp_path, unit, "emulated"), capsys)
-    assert "has homed after power-up" in findings["unit echo_only"]["remedy"]
+    assert "is homing after power-up" in findings["unit echo_only"]["remedy"]
 
 
 def test_a_board_at_another_rate(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -226,8 +226,8 @@ def test_boards_that_speak_otherwise(tmp_path: Path, capsys: pytest.CaptureFixtu
     lines = iter(range(10**9))
     with device(lambda *_: b"%d,1,2,3\r\n" % next(lines)) as port:
         _, findings = doctor(rig_yaml(tmp_path, "emulated", port), capsys)
-        assert findings["board B-1 text"]["remedy"].endswith(
-            "set `format: text` and give its `columns`"
+        assert (
+            "set `format: text` and `columns` of the board" in findings["board B-1 text"]["remedy"]
         )
         path = tmp_path / "text.yaml"
         path.write_text(

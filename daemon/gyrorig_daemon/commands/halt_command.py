@@ -99,7 +99,8 @@ def _read_port_and_baud(path: Path, port_is_given: bool) -> tuple[str | None, in
         if port_is_given:
             return None, None
         raise UsageError(
-            f"the rig file {path} cannot be read ({fault.strerror})",
+            f"the rig file {path}, which contains the port of the pan-tilt unit, cannot be read "
+            f"({fault.strerror})",
             "give the port of the unit with --port",
         ) from fault
     port, baud = _port_and_baud(text, path.name)

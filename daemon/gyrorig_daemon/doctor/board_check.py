@@ -286,15 +286,21 @@ def _unknown_data(subject: str, config: BoardPort, raw: bytes) -> Finding:
     """Return the finding about data without samples."""
     printable = sum(32 <= byte < 127 or byte in b"\r\n\t" for byte in raw)
     if printable > 0.95 * len(raw):
-        message = f"the board sends the text {raw[:40]!r}, which contains no samples"
         if config.format == "gcb1":
-            return fault(
-                subject,
-                "text",
-                message,
-                "if the board sends its samples as text, set `format: text` and give its `columns`",
+            message = (
+                f"the board sends the text {raw[:40]!r}, but the rig file expects samples in the "
+                "binary format gcb1"
             )
-        return fault(subject, "columns", message, "check `columns` of the board in the rig file")
+            remedy = (
+                "if the text contains the samples, set `format: text` and `columns` of the board "
+                "in the rig file. Otherwise check the firmware of the board"
+            )
+            return fault(subject, "text", message, remedy)
+        message = (
+            f"the board sends the text {raw[:40]!r}, in which the daemon finds no samples with "
+            "`columns` of the rig file"
+        )
+        return fault(subject, "columns", message, "correct `columns` of the board in the rig file")
     message = (
         f"the board sends {raw[:16]!r}, which contains no {config.format} frame at any usual "
         "baud rate"

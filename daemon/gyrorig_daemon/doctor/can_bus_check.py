@@ -131,8 +131,8 @@ def _check_losses(subject: str, name: str, system: SystemFiles) -> Iterator[Find
     if losses:
         message = f"the CAN interface {name} has lost frames since its start: {losses}"
         remedy = (
-            "connect fewer boards to the bus, or use an mcp251xfd controller, because an "
-            "mcp2515 buffers only two frames"
+            "connect fewer boards to the bus. If its controller is an mcp2515, which buffers only "
+            "two frames, use an mcp251xfd"
         )
         yield warning(subject, "frames_lost", message, remedy)
 

@@ -42,8 +42,8 @@ def check_capacity(
     free = _format_size(disk.free_bytes)
     if load.samples_hz <= 0.0:
         message = (
-            f"{free} of disk space are free, but no board is responding, so the doctor cannot "
-            "estimate the disk use"
+            f"{free} of disk space are free, but no board is responding, so `gyrorigd doctor` "
+            "cannot estimate how much space a recording needs"
         )
         yield note(
             SUBJECT,
@@ -83,9 +83,9 @@ def check_capacity(
         yield warning(SUBJECT, "fills_up", message, remedy)
     if rate_bytes_s > 0.5 * disk.write_bytes_s:
         message = (
-            f"the disk can write {_format_size(disk.write_bytes_s)} per second, but the "
-            f"recording needs {_format_size(rate_bytes_s)} per second and a reserve of the "
-            "same size"
+            f"the disk can write {_format_size(disk.write_bytes_s)} per second, but it should "
+            f"write twice as fast as the recording, which needs {_format_size(rate_bytes_s)} "
+            "per second"
         )
         remedy = (
             "record to a faster disk, with the option --out of `gyrorigd record` or --state of "

@@ -80,7 +80,7 @@ def _check_unit(status: dict[str, Any]) -> Iterator[Finding]:
     elif unit["state"] == "silent":
         remedy = (
             "check the power, the cable and the baud rate of the pan-tilt unit. The daemon "
-            "continues to try"
+            "tries to connect until the unit answers"
         )
         yield fault("unit", "silent", message, remedy)
     else:
@@ -121,9 +121,10 @@ def _check_board(board: dict[str, Any]) -> Iterator[Finding]:
             "if a number increases, check the cable and the ground connection, or use a lower "
             "baud rate"
         )
-        yield note(
-            subject, "losses", f"losses of the board since the start of the daemon: {text}", remedy
+        message = (
+            f"the daemon counted these faults in the data of the board since its start: {text}"
         )
+        yield note(subject, "losses", message, remedy)
 
 
 def _check_recorder(status: dict[str, Any]) -> Iterator[Finding]:

@@ -60,8 +60,8 @@ def check_disk(folder: Path, system: SystemFiles) -> tuple[list[Finding], DiskMe
             f"({error.strerror})"
         )
         remedy = (
-            "move recordings to another disk. If the disk has free space, run `dmesg` to find "
-            "its fault"
+            "if the disk is full, move recordings to another disk. Otherwise run `dmesg` to find "
+            "the fault of the disk"
         )
         return [fault(SUBJECT, "trial_failed", message, remedy)], None
     write_bytes_s = TEST_BYTES * TEST_WRITES / max(sum(write_times_s), 1e-9)
@@ -112,8 +112,8 @@ def _timed_write(folder: Path) -> float:
 def _check_file_system(path: Path, file_system: str) -> Iterator[Finding]:
     if file_system in VOLATILE_FILE_SYSTEMS:
         message = (
-            f"the folder {path} is on the file system {file_system}, so recordings can be lost "
-            "at a restart"
+            f"the folder {path} is on the file system {file_system}, which does not keep files "
+            "permanently. Recordings in this folder can be lost at a restart"
         )
         yield note(SUBJECT, "not_kept", message, "record to a folder on a disk")
     elif file_system in UNJOURNALED_FILE_SYSTEMS:

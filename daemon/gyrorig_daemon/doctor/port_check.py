@@ -177,10 +177,9 @@ def _check_kernel_use(subject: str, path: str, system: SystemFiles) -> Iterator[
 
 def _report_holder(subject: str, path: str, holder: PortHolder) -> Finding:
     if holder.is_ours:
-        message = f"the port {path} is in use by {holder}"
-        return note(
-            subject, "in_use", message, "run `gyrorigd status` to see the state of the daemon"
-        )
+        message = f"Gyrorig already uses the port {path} ({holder})"
+        remedy = "run `gyrorigd status` to see what the daemon does with the device"
+        return note(subject, "in_use", message, remedy)
     return fault(
         subject,
         "held",

@@ -98,9 +98,9 @@ def _report_no_unit(line: DirectPtuLine, config: PtuPort, bauds: Sequence[int]) 
         return fault(
             SUBJECT,
             "echo_only",
-            f"the device on {config.port} only returns the bytes that it receives",
-            "wait until the pan-tilt unit has homed after power-up. If nothing moves, "
-            "remove a loop-back plug from the line",
+            f"the device on {config.port} only sends back the bytes that it receives",
+            "if the pan-tilt unit is homing after power-up, wait until it stops. If nothing "
+            "moves, check whether a loop-back plug is on the line, and remove it",
         )
     return fault(
         SUBJECT,
@@ -214,10 +214,6 @@ def _check_power(line: DirectPtuLine) -> list[Finding]:
             )
         ]
     hottest_c = max(power.temperatures_c, default=0.0)
-    summary = (
-        f"the pan-tilt unit has a supply voltage of {power.supply_v:.1f} V and a highest "
-        f"temperature of {hottest_c:.0f} degC"
-    )
     if power.supply_v < LOW_SUPPLY_V:
         remedy = (
             "use a power supply and wires that give 12 to 30 V at the plug of the unit, also "
@@ -238,6 +234,10 @@ def _check_power(line: DirectPtuLine) -> list[Finding]:
                 "reduce the holding current, or let the unit cool down",
             )
         ]
+    summary = (
+        f"the pan-tilt unit has a supply voltage of {power.supply_v:.1f} V and a highest "
+        f"temperature of {hottest_c:.0f} degC"
+    )
     return [ok(SUBJECT, "power", summary)]
 
 

@@ -182,7 +182,7 @@ def write_rates(
             np.savez_compressed(file, **arrays)
     except OSError as error:
         raise MachineError(
-            f"the file of noise-free rates {path} cannot be written ({error.strerror})",
+            f"the output file {path} of --rates cannot be written ({error.strerror})",
             "choose another file with --rates",
         ) from error
 

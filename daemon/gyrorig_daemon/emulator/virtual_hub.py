@@ -65,8 +65,8 @@ class VirtualHub:
             )
         if self._is_unplugged(port, self._now_ns):
             raise DeviceError(
-                f"the emulated device on the port {port!r} was unplugged",
-                "plug the device in again",
+                f"the emulator has disconnected the device on the port {port!r}",
+                "wait until the emulator connects the device again",
             )
         device.receive(data, self._latency.line_ns(self._now_ns))
         return WriteTimes(self._now_ns, self._now_ns)

@@ -145,7 +145,7 @@ def _wait_for_version(client: PtuClient) -> FirmwareVersion:
         )
     if set(received.decode("latin-1")) <= set(QUERY_VERSION.encode().decode("ascii")):
         raise DeviceError(
-            f"the device on {client.location} only returns the bytes that it receives",
+            f"the device on {client.location} only sends back the bytes that it receives",
             "if the device is a pan-tilt unit that is homing after power-up, wait until it "
             "stops. Otherwise check the ports in the rig file",
         )
@@ -162,8 +162,9 @@ def _detect_dialect(client: PtuClient, config: PtuPort, version: FirmwareVersion
     dialect = dialect_from_probe(client.ask(PROBE)) or dialect_from_version(version.text)
     if dialect is None:
         raise DeviceError(
-            f"the dialect of the pan-tilt unit on {client.location} is unknown",
-            "set ptu.dialect in the rig file to d46 or e46",
+            f"the daemon does not recognise the command set (dialect) of the pan-tilt unit on "
+            f"{client.location}",
+            "set ptu.dialect in the rig file to d46 or e46, the series of the unit",
         )
     return dialect
 

@@ -44,8 +44,9 @@ class RetentionRules:
             value = getattr(self, name)
             if value is not None and not value > 0:
                 raise UsageError(
-                    f"the retention rule {name} has the invalid value {value}",
-                    "give a number above 0 in the rig file",
+                    f"the limit {name} for deleting old recordings is {value}, but it must be "
+                    "above 0",
+                    "correct the limit under `service` in the rig file",
                 )
 
 
@@ -158,19 +159,22 @@ class _CitationIndex:
         for store in stores:
             if not store.is_dir():
                 raise MachineError(
-                    f"the calibration store {store} does not exist, so the daemon cannot "
-                    "delete old recordings",
-                    "mount the store, or remove it from `service: stores` in the rig file",
+                    f"the calibration store {store} does not exist. The daemon deletes no old "
+                    "recordings, because it cannot check which of them the calibrations in this "
+                    "store need",
+                    "mount the disk of the store, or remove the store from `service: stores` in "
+                    "the rig file",
                 )
             try:
                 for document in _documents(store):
                     self._read_document(document)
             except OSError as fault:
                 raise MachineError(
-                    f"{fault.filename or store} in the calibration store cannot be read "
-                    f"({fault.strerror}), so the daemon cannot delete old recordings",
-                    "correct the permissions, or remove the store from `service: stores` in "
-                    "the rig file",
+                    f"the daemon cannot read {fault.filename or store} in the calibration store "
+                    f"({fault.strerror}). It deletes no old recordings, because it cannot check "
+                    "which of them the calibrations in this store need",
+                    "give the user of the daemon permission to read the store, or remove the store "
+                    "from `service: stores` in the rig file",
                 ) from fault
 
     def protects(self, path: Path) -> bool:
@@ -230,7 +234,7 @@ def _delete(path: Path, disk: Disk) -> None:
     except OSError as fault:
         raise MachineError(
             f"the old recording {path} cannot be deleted ({fault.strerror})",
-            "give the folder to the user of the daemon with chown. The recording continues",
+            "give the folder to the user of the daemon with chown. The daemon continues to record",
         ) from fault
 
 
@@ -239,7 +243,7 @@ def _digest(path: Path) -> str:
         return file_sha256(path)
     except OSError as fault:
         raise MachineError(
-            f"the old recording {path} cannot be read ({fault.strerror}), so the daemon does "
-            "not delete it, because a calibration may refer to it",
+            f"the old recording {path} cannot be read ({fault.strerror}). The daemon does not "
+            "delete it, because without its SHA-256 it cannot check whether a calibration needs it",
             "give the user of the daemon permission to read the file, or check the disk",
         ) from fault

@@ -101,9 +101,9 @@ def check_hidden_causes(config: RigConfig, emulation: EmulationOptions) -> None:
         hidden_cause.cause == RANDOM for hidden_cause in settings.injections
     ):
         raise UsageError(
-            "the option --hide random needs the option --truth, because only the truth file "
-            "contains the random parameters",
-            "choose a file for the true parameters with --truth",
+            "the option --hide random needs the option --truth, because the random error is "
+            "written only to the output file of --truth",
+            "add --truth FILE. The daemon writes the true parameters to this file",
         )
     sample_injected_causes(settings)
 

@@ -286,9 +286,9 @@ class _SignalFinder:
         key, signal = self.find_signal(reference)
         if signal.is_float or signal.is_signed:
             raise UsageError(
-                f"the signal {reference}, which board {self.board_name} uses as its {role}, "
-                "is not an unsigned number",
-                "choose an unsigned signal, or remove the key",
+                f"the key `{role}` under `signals` of board {self.board_name} names the signal "
+                f"{reference}, which is not an unsigned number",
+                f"choose an unsigned signal for `{role}`, or remove the key `{role}`",
             )
         return ResolvedSignal(key, signal, 1.0, 0.0)
 

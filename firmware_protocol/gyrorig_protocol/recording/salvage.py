@@ -105,11 +105,18 @@ def salvage(
     data = map_mcap_file(source)
     scan = scan_records(data, read_summary(data))
     metadata = read_metadata_copy(scan.attachments) or dict(scan.metadata)
-    if metadata.get("gyrorig", {}).get("format") != FORMAT_VERSION:
+    if "gyrorig" not in metadata:
         raise InputError(
-            f"{source} cannot be recovered, because it has no metadata of recording format "
-            f"{FORMAT_VERSION}",
-            "record again",
+            f"{source} cannot be recovered, because it does not contain the settings of a Gyrorig "
+            "session",
+            "give a recording that the daemon wrote, or record the session again",
+        )
+    found_format = metadata["gyrorig"].get("format")
+    if found_format != FORMAT_VERSION:
+        raise InputError(
+            f"{source} cannot be recovered, because it has the recording format {found_format}, "
+            f"but this version of Gyrorig reads only format {FORMAT_VERSION}",
+            "use the version of Gyrorig that wrote the file, or a newer one",
         )
     copier = ChunkCopier(data, scan)
     if not any(True for _ in copier.valid_chunks()):

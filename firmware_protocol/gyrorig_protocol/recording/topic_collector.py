@@ -310,7 +310,7 @@ class TopicCollector:
             if len({array.dtype for array in arrays}) > 1:
                 raise InputError(
                     f"in {self.path}, the messages of type {type_name} on the topic {name!r} "
-                    "have several layouts",
+                    "do not all have the same fields",
                     _FOREIGN_FILE_REMEDY,
                 )
             if len(arrays) == 1:

@@ -203,8 +203,8 @@ def create_sharded_store(folder: Path) -> CalibrationStore:
         # Check again: another process writes the marker before any other file.
         if others and not marker.exists():
             raise UsageError(
-                f"the folder {folder} is not a calibration store, because it contains "
-                f"{sorted(others)[0]}",
+                f"the folder {folder} is neither empty nor a calibration store: it contains "
+                f"{sorted(others)[0]}, but no file {STORE_FILE}",
                 "choose an empty or a new folder with --store",
             )
         write_file(marker, STORE_MARKER, replace=False)
@@ -224,7 +224,7 @@ def _is_sharded(folder: Path) -> bool:
         return False
     except OSError as fault:
         raise MachineError(
-            f"the store file {marker} cannot be read ({fault.strerror})",
+            f"the file {marker} of the calibration store cannot be read ({fault.strerror})",
             "correct the permissions of the file",
         ) from fault
     check_store_marker(text, str(marker))

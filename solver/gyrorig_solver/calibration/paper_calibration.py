@@ -45,7 +45,7 @@ def solve_with_paper_method(
     """
     if "/ptu/position" not in recording.topics:
         raise InputError(
-            "the paper's method needs the angles of a pan-tilt unit, but "
+            "the option --method paper needs the angles of a pan-tilt unit, but the recording "
             f"{recording.path.name} does not contain them",
             "use --method likelihood",
         )

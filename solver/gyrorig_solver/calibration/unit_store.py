@@ -107,7 +107,8 @@ class UnitStore:
             if self.storage.write_new(name, unit_as_yaml(document).encode()):
                 return document
         raise BusyError(
-            f"other solvers write to {self.storage.location}/{_folder_of(unit)} all the time",
+            f"the solver cannot add a file to {self.storage.location}/{_folder_of(unit)}, because "
+            "another solver added one at each attempt",
             "run the command again later",
         )
 
@@ -124,7 +125,8 @@ class UnitStore:
         data = self.storage.read(name)
         if data is None:
             raise MachineError(
-                f"the unit posterior {location} was removed while the program ran",
+                f"the file {location} with the stored posterior of a pan-tilt unit was removed "
+                "while the program ran",
                 "run the command again",
             )
         document = parse_unit(data, location)

@@ -44,8 +44,8 @@ def verify_commitment(truth: Mapping[str, Any], commitment: str | None) -> None:
     text = json.dumps(truth.get("hidden"), sort_keys=True, separators=(",", ":"))
     if hashlib.sha256(text.encode()).hexdigest() != commitment:
         raise InputError(
-            "the truth file does not have the published hash, so it was changed or belongs "
-            "to another recording",
+            "the SHA-256 of the hidden causes in the truth file differs from the one that the "
+            "daemon printed, so the file was changed or belongs to another recording",
             "give the truth file that `gyrorigd record --truth` wrote for this recording",
         )
 

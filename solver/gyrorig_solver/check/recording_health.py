@@ -229,9 +229,9 @@ def _stage_rate(samples: GyroSamples, reference: ReferenceMotion) -> tuple[Float
     known = np.isfinite(rate).all(axis=1)
     if known.sum() < _MIN_GRID_POINTS:
         raise InputError(
-            "the recording does not contain the unit's motion for the time in which board "
-            f"{samples.board} sent samples",
-            "check the faults that the recording lists, and record again",
+            "the recording does not contain the motion of the pan-tilt unit for the time in which "
+            f"board {samples.board} sent samples",
+            "read the faults of the recording with `gyrorig check`, correct them, and record again",
         )
     return rate[known], float(edges[1] - edges[0])
 

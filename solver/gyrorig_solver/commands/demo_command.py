@@ -215,7 +215,7 @@ def _record_session(
         return DemoRecording(Path(answer["recording"]), truth_path, str(answer.get("seal", "")))
     except (json.JSONDecodeError, KeyError, TypeError) as fault:
         raise InputError(
-            "the daemon ended without the name of a recording",
+            "the daemon ended, but its output does not contain the name of the recording",
             "run `gyrorigd record` with the same --config and --program to see the reason",
         ) from fault
 

@@ -172,7 +172,8 @@ def plan_command(terminal: Terminal, /, **options: Any) -> int:
     if seconds is not None:
         if not SHORTEST_S <= seconds <= LONGEST_S:
             raise UsageError(
-                f"the length --seconds {seconds:g} is not between {SHORTEST_S:g} and {LONGEST_S:g}",
+                f"the option --seconds gives the motion program a length of {seconds:g} s, but the "
+                f"length must be from {SHORTEST_S:g} to {LONGEST_S:g} s",
                 "give a length in this range. For a longer recording, repeat the motion program",
             )
         plan_result = find_program(

@@ -162,7 +162,7 @@ def _requested_causes(extend: str, method: str) -> tuple[str, ...]:
         if causes in ((), (AUTO,)):
             return ()
         raise UsageError(
-            "the paper's method cannot fit the causes that --extend names",
+            "the option --method paper cannot fit causes, but the option --extend names some",
             "remove the option --extend, or use --method likelihood",
         )
     return causes

@@ -146,7 +146,8 @@ def _integrate(samples: GyroSamples, turn: KnownTurn) -> _IntegratedTurn:
         raise InputError(
             f"the turn at {turn.interval.begin_s:.1f} s has only {index.size} usable samples, and "
             "8 are needed",
-            "correct the start and the end of the turn's phase, or remove the phase",
+            "correct the start and the end of the turn in the import map, or remove the turn. Then "
+            "import the data again",
         )
     if np.any(np.diff(samples.segment[index]) != 0):
         raise InputError(

@@ -82,8 +82,8 @@ def c_header(source: ExportSource, name: str | None = None) -> str:
     scale = source.document.board.config.gyro_scale_rad_s
     if scale is None:
         raise UsageError(
-            "the exported C code reads counts, but the calibration does not contain the "
-            "nominal scale factor of the board",
+            "the exported C code needs the nominal scale factor of the board to convert counts to "
+            "rates, but the calibration does not contain it",
             "add gyro_scale_rad_s of the board to the rig file or the import map, then "
             "record or import again, and solve again",
         )

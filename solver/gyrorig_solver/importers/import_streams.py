@@ -239,7 +239,8 @@ def _int32_counts(counts: FloatArray, quantity: str) -> IntArray:
     if out_of_range.any():
         at = int(np.argmax(out_of_range.any(axis=1)))
         raise InputError(
-            f"the {quantity} value of sample {at + 1} is too large for any sensor",
+            f"the {quantity} value of sample {at + 1} is too large for any sensor, so its unit of "
+            "measure is probably wrong",
             f"correct `unit` under `{quantity}` in the import map",
         )
     return np.asarray(whole, dtype=np.int64)

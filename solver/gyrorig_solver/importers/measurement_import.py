@@ -150,11 +150,17 @@ def _phases_from_file(sections: SectionFile, imu: ImuStream, folder: Path) -> li
 
 def _span_from_file(document: object, key: str, name: str) -> SectionSpan:
     entry = document.get(key) if isinstance(document, dict) else None
+    if entry is None:
+        raise InputError(
+            f"the section list {name} contains no section {key!r}",
+            "give the name of an existing section in the import map",
+        )
     start, end = (entry.get("start"), entry.get("end")) if isinstance(entry, dict) else (None, None)
     if not isinstance(start, int) or not isinstance(end, int) or not 0 <= start < end:
         raise InputError(
-            f"the section list {name} contains no section {key!r} with a start below its end",
-            "give the name of an existing section in the import map",
+            f"the section {key!r} in the section list {name} does not have a start below its end",
+            "write the row numbers `start` and `end` of the section as whole numbers from 0, "
+            "with `start` below `end`",
         )
     return SectionSpan(start=start, end=end)
 

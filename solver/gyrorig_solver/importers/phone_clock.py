@@ -97,8 +97,9 @@ def _find_lag(phone: FloatArray, unit: FloatArray) -> tuple[int, float]:
     cross = np.fft.irfft(np.fft.rfft(b, size) * np.conj(np.fft.rfft(a, size)), size)
     scale = float(np.linalg.norm(a) * np.linalg.norm(b))
     if scale <= 0.0:
+        still = "the phone" if not np.any(a) else "the pan-tilt unit"
         raise InputError(
-            "the phone or the pan-tilt unit did not move during the log",
+            f"{still} did not move during the log",
             "record a motion in which the unit moves the phone",
         )
     best = int(np.argmax(cross))

@@ -93,7 +93,7 @@ def read_phone_log(path: Path) -> PhoneLog:
         raise InputError(
             f"the file {path.name} is not a log of a phone, because it has neither a header "
             "nor sensor tags",
-            "import the file as csv with a column map",
+            "if it is a table, import it with `gyrorig import csv` and a column map (--map)",
         )
     stamp_ns, rate = _sort_by_stamp(*gyro, "gyroscope", notes)
     accel_pair: tuple[IntArray | None, FloatArray | None] = (None, None)
@@ -217,7 +217,7 @@ def _read_table(
         raise InputError(
             f"the phone's log {path.name} has no columns for the time and the gyroscope's x, "
             f"y and z, but only {', '.join(names)[:120]}",
-            "import the file as csv with a column map",
+            "import the file with `gyrorig import csv` and a column map (--map)",
         )
     if not re.search(r"uncal", path.stem + header, re.IGNORECASE):
         notes.append(_CORRECTED_NOTE)

@@ -39,7 +39,7 @@ def find_term(cause: str) -> Term:
         suggestion = did_you_mean(cause[:40], catalogue())
         list_all = "`gyrorigd causes` lists all causes"
         raise UsageError(
-            f"the catalogue has no cause {cause[:40]!r}",
+            f"{cause[:40]!r} is not the name of a known cause of errors",
             f"{suggestion} {list_all}".strip(),
         )
     return catalogue()[cause]

@@ -94,8 +94,8 @@ def estimate_level(
     tilts = 1 + int(np.sum(np.diff(ordered) > MIN_TILT_STEP_RAD)) if ordered.size else 0
     if tilts < MIN_TILTS or ordered[-1] - ordered[0] < MIN_TILT_RANGE_RAD:
         raise InputError(
-            "the tilt zero cannot be measured, because the unit rested at only "
-            f"{plural(tilts, 'tilt angle')} within "
+            "the tilt angle at which the board is level cannot be measured, because the unit "
+            f"rested at only {plural(tilts, 'tilt angle')} in a range of "
             f"{np.degrees(np.ptp(ordered)) if tilts else 0.0:.0f} deg",
             f"record rests at {MIN_TILTS} or more tilt angles that span at least "
             f"{np.degrees(MIN_TILT_RANGE_RAD):.0f} deg",

@@ -108,8 +108,9 @@ def reference_motion(recording: Recording, samples: GyroSamples) -> ReferenceMot
     turns = read_turns(recording.events(), samples.origin_ns)
     if not _is_at_rest(turns, samples):
         raise UsageError(
-            f"the board moves in {recording.path.name}, but that recording has no pan-tilt unit",
-            "solve that recording separately from the recordings with a unit",
+            f"the recording {recording.path.name} has no pan-tilt unit, and its board moves, so "
+            "the solver cannot use it together with recordings that have a unit",
+            f"run `gyrorig solve` separately for {recording.path.name}",
         )
     return RestReference(turns.rests)
 

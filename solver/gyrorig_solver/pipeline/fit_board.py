@@ -109,8 +109,9 @@ def _fit_best_reference(
 def _fit_gravity_or_rest(data: BoardData) -> GyroFit:
     if len(data.recordings) > 1:
         raise UsageError(
-            f"{len(data.recordings)} recordings without a reference cannot be solved together",
-            "solve each recording separately, which writes one version per recording",
+            f"{len(data.recordings)} recordings without a pan-tilt unit, attitudes or known turns "
+            "cannot be solved together",
+            "run `gyrorig solve` once for each recording",
         )
     (recording,), (samples,), (known_turns,) = data.recordings, data.samples, data.known_turns
     if mostly_at_rest(known_turns.rests, float(samples.time_s[-1] - samples.time_s[0])):

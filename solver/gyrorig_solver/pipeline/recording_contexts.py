@@ -61,7 +61,7 @@ def _site_angle(site: Mapping[str, str], key: str, limit: float) -> float | None
         value = np.nan
     if not abs(value) <= limit:
         raise InputError(
-            f"the recording has an invalid {key} of its site, {text[:40]!r}",
+            f"the {key} of the rig's site in the recording is not valid: {text[:40]!r}",
             f"write a number from -{limit:g} to {limit:g} as {key} under `site` in the rig file, "
             "and record again",
         )

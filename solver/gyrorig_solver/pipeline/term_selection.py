@@ -120,8 +120,9 @@ def _check_fittable(cause: str) -> None:
         and not requested_term.depends_on_temperature
     ):
         raise UsageError(
-            f"the cause {cause} has shape parameters, which only a search for causes can find",
-            "use `--extend auto` or `gyrorig explain`",
+            f"the solver cannot fit the cause {cause} directly, because it must first search for "
+            "the form of this effect",
+            "use `--extend auto` or `gyrorig explain`, which search for causes",
         )
 
 

@@ -209,14 +209,14 @@ def test_random_draws_causes_that_differ_and_depend_on_the_seed() -> None:
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("wobble", "knows no cause with the name 'wobble'. Run `gyrorigd causes` to list all"),
-        ("", "knows no cause with the name"),
+        ("wobble", "'wobble' in the option --hide is not the name of a simulated error"),
+        ("", "Run `gyrorigd causes` to list all names"),
         ("backlsh:1e-3", "id you mean backlash"),
         ("backlash:much", "a number in rad, for example 0.0009"),
         ("backlash:nan", "of the simulated error backlash is not a number"),
         ("backlash:-1e-3", "is -0.001, but it must not be negative"),
-        ("backlash:3", "is outside the allowed range"),
-        ("saturation:0", "is outside the allowed range"),
+        ("backlash:3", "cannot have the size 3 "),
+        ("saturation:0", "cannot have the size 0 "),
         ("lost_steps:1.5", "it must be a whole number"),
         ("random:3", "Write only --hide random"),
     ],
@@ -235,7 +235,7 @@ def test_what_cannot_be_is_refused_with_the_way_out(text: str, words: str) -> No
         (("warm_up@C.x",), "is not a place where"),
         (("clock_offset@x",), "After @, write one of GY80-1"),
         (("earth_rotation@x",), "without @ and a place"),
-        (("backlash@pan", "backlash@pan:1e-3"), "injected twice"),
+        (("backlash@pan", "backlash@pan:1e-3"), "twice for the same place"),
         (("sample_jitter:5e-3",), "at most 0.00274"),
     ],
 )

@@ -90,7 +90,7 @@ def test_the_seal_of_the_emulator_opens_and_another_does_not() -> None:
     verify_commitment(opened, seal.sha256)
     verify_commitment(hidden, None)
     opened["hidden"]["causes"][0]["size"]["value"] = 0.002
-    with pytest.raises(InputError, match="does not have the published hash"):
+    with pytest.raises(InputError, match="differs from the one that the daemon printed"):
         verify_commitment(opened, seal.sha256)
 
 

@@ -176,7 +176,9 @@ def test_only_samples_with_a_temperature_have_one(written: Write) -> None:
 
 
 def test_a_motion_that_is_nowhere_known_shows_nothing(written: Write) -> None:
-    with pytest.raises(InputError, match="the unit's motion for the time in which board B"):
+    with pytest.raises(
+        InputError, match="the motion of the pan-tilt unit for the time in which board B"
+    ):
         predict_observability(written(), RestReference(()), {})
 
 

@@ -222,5 +222,5 @@ def test_catalogue_has_the_ids_of_the_contract() -> None:
 
 
 def test_unknown_cause_is_rejected() -> None:
-    with pytest.raises(UsageError, match="the catalogue has no cause"):
+    with pytest.raises(UsageError, match="is not the name of a known cause"):
         find_term("gremlins")

@@ -132,7 +132,7 @@ def test_nominal_mount_is_removed() -> None:
 @pytest.mark.parametrize("tilts", [[0.0, 0.0, 0.001], [0.0, 0.1, 0.2], [-0.5, 0.5]])
 def test_too_small_tilt_range_is_rejected(tilts: list[float]) -> None:
     pan, tilt = np.zeros(len(tilts)), np.array(tilts)
-    with pytest.raises(InputError, match="the tilt zero cannot be measured"):
+    with pytest.raises(InputError, match="the board is level cannot be measured"):
         estimate_level(pan, tilt, np.zeros((len(tilts), 3)), STD)
 
 

@@ -43,8 +43,8 @@ def sample_injected_causes(settings: RigSettings) -> tuple[InjectedCause, ...]:
     for k, key in enumerate(keys):
         if key in keys[:k]:
             raise UsageError(
-                f"the cause {key[0]} is injected twice at the same place",
-                "name another axis or board with @, or inject the cause only once",
+                f"the option --hide gives the simulated error {key[0]} twice for the same place",
+                "name another axis or board after @, or give the error only once",
             )
     return injected
 
@@ -70,7 +70,7 @@ def _sample_cause(request: InjectionRequest, settings: RigSettings) -> InjectedC
         size = request.size
     if abs(size) > max_size:
         raise UsageError(
-            f"the size {size:g} {cause.unit} of the cause {cause.name} is too large for "
+            f"the size {size:g} {cause.unit} of the simulated error {cause.name} is too large for "
             f"board {board.name}",
             f"give a size of at most {max_size:.3g} {cause.unit}",
         )

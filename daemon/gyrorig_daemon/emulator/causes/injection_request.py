@@ -35,8 +35,8 @@ def parse_injection(text: str) -> InjectionRequest:
     if cause is None:
         hint = did_you_mean(name, [*CAUSES, RANDOM])
         raise UsageError(
-            f"the emulator knows no cause with the name {name!r:.40}",
-            f"{sentence(hint)} Run `gyrorigd causes` to list all causes".lstrip(),
+            f"{name!r:.40} in the option --hide is not the name of a simulated error",
+            f"{sentence(hint)} Run `gyrorigd causes` to list all names".lstrip(),
         )
     size = _parse_size(cause, size_text) if colon else None
     return InjectionRequest(name, component, size)
@@ -59,10 +59,11 @@ def _parse_size(cause: type[Cause], text: str) -> float:
             shown,
         )
     if not cause.min_size <= abs(size) <= cause.max_size:
-        limits = f"from {cause.min_size:g} to {cause.max_size:g}"
+        sign = ", positive or negative" if cause.is_signed else ""
         raise UsageError(
-            f"the size {size:g} of the simulated error {cause.name} is outside the allowed range",
-            f"{shown}, {limits}",
+            f"the simulated error {cause.name} cannot have the size {size:g} {cause.unit}",
+            f"give a size from {cause.min_size:g} to {cause.max_size:g} {cause.unit}{sign}, for "
+            f"example {cause.typical:g}",
         )
     if cause.is_integer and size != round(size):
         raise UsageError(

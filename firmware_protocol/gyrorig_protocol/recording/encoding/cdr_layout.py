@@ -39,7 +39,7 @@ _PRIMITIVES = MappingProxyType(
 )
 
 HEADER_BYTES = 4
-_SCHEMA_REMEDY = "correct the schema of the message type in the program that wrote the file"
+_SCHEMA_REMEDY = "correct the message schema in the program that wrote the file"
 # Limits for schemas of untrusted files; our largest message has 66 bytes.
 _MAX_BYTES = 1 << 16
 _MAX_FIELDS = 4096
@@ -90,12 +90,12 @@ def _lay_out_struct(
     """Lay out struct `name` from payload offset `start`; return its dtype and its end."""
     if name not in definitions:
         raise InputError(
-            f"a schema of the file uses the message type {name}, but does not define it",
+            f"a message schema in the MCAP file uses the type {name}, but does not define it",
             _SCHEMA_REMEDY,
         )
     if depth > _MAX_DEPTH:
         raise InputError(
-            f"in a schema of the file, the message type {name} is nested in more than "
+            f"in a message schema of the MCAP file, the message type {name} is nested in more than "
             f"{_MAX_DEPTH} other types",
             _SCHEMA_REMEDY,
         )
@@ -135,7 +135,7 @@ def _lay_out_field(
         raise _VariableSizeError
     if field.length == 0 or (field.length or 0) > _MAX_BYTES:
         raise InputError(
-            f"the array field {field.name} in a schema of the file has the invalid length "
+            f"the array {field.name} in a message schema of the MCAP file has the invalid length "
             f"{field.length}",
             _SCHEMA_REMEDY,
         )
@@ -149,7 +149,8 @@ def _lay_out_field(
         return offset + width * (field.length or 1)
     if "/" not in field.type:
         raise InputError(
-            f"the field {field.name} in a schema of the file has the unknown type {field.type}",
+            f"the field {field.name} in a message schema of the MCAP file has the unknown type "
+            f"{field.type}",
             _SCHEMA_REMEDY,
         )
     elements = []
@@ -159,8 +160,8 @@ def _lay_out_field(
         offset = end
         if offset > _MAX_BYTES:
             raise InputError(
-                f"the field {field.name} in a schema of the file is too large: it has more "
-                f"than {_MAX_BYTES} bytes",
+                f"the field {field.name} in a message schema of the MCAP file is too large: it has "
+                f"more than {_MAX_BYTES} bytes",
                 _SCHEMA_REMEDY,
             )
     _add_struct_elements(layout, field, elements)

@@ -20,7 +20,7 @@ _FIELD_PATTERN = re.compile(
 )
 _CONSTANT_PATTERN = re.compile(r"[A-Za-z][\w/]*(?:<=\d+)?(?:\[[^\]]*\])?\s+[A-Za-z]\w*\s*=")
 
-_SCHEMA_REMEDY = "correct the schema in the program that wrote the file"
+_SCHEMA_REMEDY = "correct the message schema in the program that wrote the file"
 MAX_SCHEMA_CHARS = 1 << 20  # far more than in any real definition
 
 
@@ -61,7 +61,7 @@ def parse_definitions(type_name: str, text: str) -> Definitions:
         head = _DEPENDENCY_HEAD_PATTERN.match(part)
         if head is None:
             raise InputError(
-                f"the schema of the message type {type_name} contains a dependency without a name",
+                f"the schema of the message type {type_name} uses another type that has no name",
                 _SCHEMA_REMEDY,
             )
         name = short_name(head.group(1))
@@ -99,7 +99,8 @@ def _parse_fields(text: str, package: str) -> tuple[MessageField, ...]:
         match = _FIELD_PATTERN.fullmatch(line)
         if match is None:
             raise InputError(
-                f"the line {line[:60]!r} in a schema of the file does not define a field",
+                f"the line {line[:60]!r} in a message schema of the MCAP file does not define a "
+                "field",
                 _SCHEMA_REMEDY,
             )
         fields.append(

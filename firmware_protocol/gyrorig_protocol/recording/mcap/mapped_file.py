@@ -47,8 +47,8 @@ def map_file(path: Path) -> memoryview:
         ) from error
     except ValueError as error:  # mmap of a file that was emptied after stat
         raise InputError(
-            f"another program emptied {path} while it was opened",
-            "stop the program that writes to the file",
+            f"another program deleted the content of {path} while Gyrorig opened the file",
+            "end the program that writes to the file, and run the command again",
         ) from error
     except OSError as error:
         raise MachineError(

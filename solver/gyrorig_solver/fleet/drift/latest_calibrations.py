@@ -97,7 +97,7 @@ def read_origins(path: Path) -> BoardOrigins:
     rows = csv.DictReader(text.splitlines())
     if rows.fieldnames is None or "board" not in rows.fieldnames:
         raise InputError(
-            f"the table {path} has no column `board`",
+            f"the table of boards {path} has no column `board`",
             "begin the table with the header line board,lot,site",
         )
     origins = BoardOrigins()

@@ -92,7 +92,7 @@ def read_shrinkage_estimates(store: Path | Storage, board: str) -> dict[str, Shr
             rows = database.execute(sql, [str(path), board]).fetchall()
     except duckdb.Error as fault:
         raise InputError(
-            f"the file of shrinkage estimates {files[-1]} cannot be read "
+            f"the file {files[-1]} in the calibration store cannot be read "
             f"({' '.join(str(fault).split())[:200]})",
             "remove the file, and write it again with `gyrorig fleet`",
         ) from fault

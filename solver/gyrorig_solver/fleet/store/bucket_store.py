@@ -124,8 +124,8 @@ def create_store(storage: Storage) -> CalibrationStore:
         first_file = next(storage.list_files(), None)
         if first_file is not None and storage.read(STORE_FILE) is None:
             raise UsageError(
-                f"the location {storage.location} is not a calibration store, because it "
-                f"contains {first_file.name}",
+                f"the location {storage.location} is neither empty nor a calibration store: it "
+                f"contains {first_file.name}, but no file {STORE_FILE}",
                 "choose an empty or a new location with --store",
             )
         storage.write_new(STORE_FILE, STORE_MARKER)

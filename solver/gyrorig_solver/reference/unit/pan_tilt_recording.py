@@ -182,10 +182,10 @@ def _read_polls(
     usable = np.flatnonzero(raw["status"] & UNUSABLE_STATUS == 0)
     if usable.size < 2:
         raise InputError(
-            f"the recording {recording.path.name} needs two or more positions of the unit, but has "
-            f"{usable.size}",
-            "remove `rate_hz` under `ptu: poll` from the rig file, because the default rate is "
-            "higher, and record again",
+            f"the recording {recording.path.name} needs two or more usable positions of the "
+            f"pan-tilt unit, but contains only {usable.size}",
+            "if the rig file sets a low `rate_hz` under `ptu: poll`, remove this key. Then record "
+            "again",
         )
     request_ns = times_ns(raw["request_time"])[usable]
     if np.any(request_ns[1:] < request_ns[:-1]):
@@ -277,8 +277,8 @@ def _rad_per_step(recording: Recording, metadata: Mapping[str, str], axis: str) 
     arcsec = _finite_number(metadata, f"{axis}_resolution_arcsec")
     if not arcsec:
         raise InputError(
-            f"the step size of {axis} is unknown, because the recording lacks "
-            f"{axis}_resolution_arcsec and {axis} never left 0",
+            f"the step size of the {axis} axis is unknown, because the recording lacks the value "
+            f"{axis}_resolution_arcsec, and all its {axis} angles are 0",
             "record again with gyrorigd, which reads the step size from the unit",
         )
     return float(np.radians(arcsec / 3600.0))
