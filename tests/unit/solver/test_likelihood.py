@@ -74,7 +74,7 @@ def test_pan_at_one_tilt_leaves_roll_unobservable(simulate: Simulate) -> None:
     assert {"scale.y", "scale.x"} <= set(result.observability.unobservable)
     assert np.isnan(result.gain[:, 1]).all()
     assert np.isfinite(result.gain[:, 2]).all()
-    assert any("one tilt only" in reason for reason in result.observability.reasons)
+    assert any("at only one tilt angle" in reason for reason in result.observability.reasons)
     assert all(np.isfinite(result.value(f"bias.{a}")) for a in "xyz")
     assert result.observability.rank == 6
 
