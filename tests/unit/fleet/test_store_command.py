@@ -180,17 +180,21 @@ def test_show_selects_the_last_recorded_or_the_requested_version(
 @pytest.mark.parametrize(
     ("command", "code", "words"),
     [
-        (("GY-1", "--version", "4"), 3, "version 4 of board GY-1. Choose a version from 1 to 3."),
+        (
+            ("GY-1", "--version", "4"),
+            3,
+            "calibration version 4 of board GY-1. Choose a calibration version from 1 to 3.",
+        ),
         (("GY-9",), 3, "does not contain board GY-9"),
         (
             ("GY-1", "--at", "2026-01-01"),
             3,
-            "no version of board GY-1 that was recorded until 2026-01-01 00:00",
+            "no calibration of board GY-1 that was recorded until 2026-01-01 00:00",
         ),
         (
             ("GY-1", "--config", "none"),
             3,
-            "no version of board GY-1 that was made with the configuration none",
+            "no calibration of board GY-1 that was made with the configuration none",
         ),
         (("GY-1", "--version", "1", "--config", "beef"), 2, "already selects one calibration"),
     ],
