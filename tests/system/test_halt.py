@@ -281,10 +281,16 @@ def test_a_silent_port_ends_within_seconds(
 def test_other_devices_are_distinguished(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(standalone_halt, "FIRST_ANSWER_S", 0.2)
     monkeypatch.setattr(direct_ptu_line, "DRAIN_S", 0.1)
-    with EmulatedRigThread(E46) as rig, pytest.raises(DeviceError, match="is not a pan-tilt unit"):
+    with (
+        EmulatedRigThread(E46) as rig,
+        pytest.raises(DeviceError, match="does not answer like a pan-tilt unit"),
+    ):
         halt_unit(rig.board, (460800,))
     noise = bytes(range(256)) * 2
-    with scripted(lambda _: noise) as port, pytest.raises(DeviceError, match="is not a pan-tilt"):
+    with (
+        scripted(lambda _: noise) as port,
+        pytest.raises(DeviceError, match="does not answer like a pan-tilt"),
+    ):
         halt_unit(port, (9600,))
     with scripted(lambda sent: sent) as port, pytest.raises(DeviceError, match="only returns"):
         halt_unit(port, (9600,))

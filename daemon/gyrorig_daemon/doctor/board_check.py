@@ -343,8 +343,8 @@ def _check_rate(subject: str, config: BoardPort, traffic: BoardTraffic) -> list[
             warning(
                 subject,
                 "line_full",
-                f"the board sends {summary}. After a delay, the line has too little free capacity "
-                "for the samples that had to wait",
+                f"the board sends {summary}. If samples have to wait, the line is too slow to "
+                "catch up",
                 remedy,
             )
         ]

@@ -152,9 +152,9 @@ def _no_unit_error(line: DirectPtuLine, bauds: Sequence[int]) -> DeviceError:
             "unit is not homing, check which device is connected to this port",
         )
     return DeviceError(
-        f"the halt command was sent, but the device on {line.port} is not a pan-tilt unit, "
-        f"because it answers {received[:24]!r}",
-        "check that the unit has stopped. Then check the ports in the rig file",
+        f"the halt command was sent to {line.port}, but the device there does not answer like a "
+        f"pan-tilt unit (answer: {received[:24]!r}). The pan-tilt unit may still move",
+        "make sure that the unit has stopped. Then correct the ports in the rig file",
     )
 
 

@@ -122,8 +122,7 @@ def copy_with_topics(
     for channel in declarations.channels.values():
         if channel.topic in {topic.topic for topic in topics}:
             raise InputError(
-                f"a calibration was already applied to {source.name}, because it has the "
-                f"topic {channel.topic}",
+                f"{source.name} already contains calibrated data (topic {channel.topic})",
                 "apply the calibration to the original recording",
             )
     copier = _RecordingCopier(ChunkCopier(data, scan), scan, declarations)

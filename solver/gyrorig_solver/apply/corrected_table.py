@@ -129,8 +129,7 @@ class _TableWriter:
         existing = [name for name in added if name in names]
         if existing:
             raise InputError(
-                f"a calibration was already applied to the table {self._name}, because it has the "
-                f"column {existing[0]}",
+                f"the table {self._name} already contains calibrated data (column {existing[0]})",
                 "apply the calibration to the original table",
             )
         target.write(header.rstrip("\r\n") + delimiter + delimiter.join(added) + "\n")

@@ -79,7 +79,7 @@ def test_a_row_without_a_reading_has_no_rate(golden: Path, tmp_path: Path) -> No
         ("gx,gy,gz\n", "a header, but no rows"),
         ("gx,gy,gz\n1,2\n", "row 1 of the table in.csv has only 2 columns"),
         ("gx,gy,gz\n1,2,3\n1,x,3\n", "has 'x' in the column gy, which is not a number"),
-        ("gx,gy,gz,rate_x_rad_s\n1,2,3,4\n", "because it has the column rate_x_rad_s"),
+        ("gx,gy,gz,rate_x_rad_s\n1,2,3,4\n", "calibrated data (column rate_x_rad_s)"),
         ("", "no column 'gx'"),
     ],
 )

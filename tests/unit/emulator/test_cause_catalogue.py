@@ -232,7 +232,7 @@ def test_what_cannot_be_is_refused_with_the_way_out(text: str, words: str) -> No
     [
         (("backlash@z",), "After @, write one of pan, tilt"),
         (("warm_up@tilt",), "After @, write one of x, y, z, GY80-1"),
-        (("warm_up@C.x",), "is not a place where"),
+        (("warm_up@C.x",), "cannot be applied to"),
         (("clock_offset@x",), "After @, write one of GY80-1"),
         (("earth_rotation@x",), "without @ and a place"),
         (("backlash@pan", "backlash@pan:1e-3"), "twice for the same place"),

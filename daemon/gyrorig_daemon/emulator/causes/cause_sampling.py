@@ -127,8 +127,7 @@ def _sample_component(
         else:
             remedy = f"write {cause.name} without @ and a place"
         raise UsageError(
-            f"the text {text!r:.40} after @ is not a place where the simulated error "
-            f"{cause.name} can act",
+            f"the simulated error {cause.name} cannot be applied to {text!r:.40}",
             remedy,
         )
     return board, sampled
