@@ -165,7 +165,7 @@ def test_a_port_that_is_not_there(tmp_path: Path) -> None:
     arguments = write_inputs(tmp_path, {"ptu": "/dev/none", "board:B-1": "/dev/none2"}, QUICK)
     ended = run(*arguments)
     assert (ended.returncode, ended.stdout) == (1, "")
-    assert ended.stderr.startswith("gyrorigd: /dev/none (ptu) is not there")
+    assert ended.stderr.startswith("gyrorigd: the port /dev/none (ptu) does not exist")
     assert ended.stderr.count("\n") == 1
 
 
