@@ -212,7 +212,7 @@ def test_a_value_that_is_never_confirmed_is_an_error() -> None:
 
 def test_an_echoing_device_may_be_a_homing_unit() -> None:
     client, hub, _ = client_for(lambda c: c.encode() + b" ")
-    with pytest.raises(DeviceError, match=r"only returns .* wait until it stops"):
+    with pytest.raises(DeviceError, match=r"only sends back .* wait until it stops"):
         made_ready(client, PtuSettings(), homing=Homing.IF_NEEDED)
     assert set(hub.heard) == {"V"}
 

@@ -147,7 +147,7 @@ def test_a_sealed_truth_is_opened_at_the_end(
     assert run(order(tmp_path, "--hide", "random", "--seed", "8", "--truth", str(truth))) == 0
     output = capsys.readouterr()
     seal = json.loads(output.out)["seal"]
-    assert f"SHA-256 {seal}" in output.err
+    assert f"SHA-256 is {seal}" in output.err
     document = json.loads(truth.read_text())
     text = json.dumps(document["hidden"], sort_keys=True, separators=(",", ":"))
     assert hashlib.sha256(text.encode()).hexdigest() == seal == document["seal"]["sha256"]
@@ -202,10 +202,10 @@ def test_the_causes_can_be_listed(capsys: pytest.CaptureFixture[str]) -> None:
 @pytest.mark.parametrize(
     ("more", "words"),
     [
-        (("--hide", "wobble"), "knows no cause with the name"),
+        (("--hide", "wobble"), "is not the name of a simulated error"),
         (("--hide", "backlash:wide"), "a number in rad"),
         (("--hide", "backlash@z"), "After @, write one of pan, tilt"),
-        (("--hide", "random"), "Choose a file for the true parameters with --truth"),
+        (("--hide", "random"), "Add --truth FILE"),
     ],
 )
 def test_what_cannot_be_hidden_ends_with_2_and_one_line(

@@ -159,9 +159,9 @@ def test_command_predicts_and_says_what_is_hidden(capsys: Captured) -> None:
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["--seconds", "1"], "is not between 5 and 900"),
-        (["--seconds", "nan"], "is not between 5 and 900"),
-        (["--seconds", "1e9"], "is not between 5 and 900"),
+        (["--seconds", "1"], "the length must be from 5 to 900 s"),
+        (["--seconds", "nan"], "the length must be from 5 to 900 s"),
+        (["--seconds", "1e9"], "the length must be from 5 to 900 s"),
         (["--seconds", "8"], "too short to determine all parameters"),
         (["--seconds", "25", "--for", "causes"], "too short to separate causes. Give --seconds 39"),
         (["--out", "x.yaml", "--program", PAPER], "Give the length of the motion program"),

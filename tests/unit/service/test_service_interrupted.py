@@ -66,7 +66,7 @@ def broken_off(make_bench: Callable[..., Any], break_off: Callable[[Any], None])
 
 
 @pytest.mark.parametrize(
-    ("break_off", "words"), [(pull, "unplugged"), (meet_a_limit, "reached a limit")]
+    ("break_off", "words"), [(pull, "disconnected"), (meet_a_limit, "reached a limit")]
 )
 def test_the_solver_leaves_out_what_came_after(
     make_bench: Callable[..., Any], break_off: Callable[[Any], None], words: str

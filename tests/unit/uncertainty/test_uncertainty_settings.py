@@ -63,7 +63,7 @@ def test_a_limit_is_in_the_unit_that_is_shown() -> None:
 @pytest.mark.parametrize(
     ("text", "problem"),
     [
-        ('unit: {sag: {size: 1.0, unit: deg, source: "s"}}', "no cause 'sag'"),
+        ('unit: {sag: {size: 1.0, unit: deg, source: "s"}}', "'sag' is not the name"),
         ('unit: {bias_step: {size: 1.0, unit: deg/s, source: "s"}}', "is a cause of the board"),
         (
             'unit: {tilt_sag: {size: 1.0, unit: mm, source: "s"}}',
