@@ -9,12 +9,9 @@ from gyrorig_solver.discover.cause_findings import DependenceTest
 from gyrorig_solver.discover.checks.model_check import DEPENDENCE_FALSE_ALARM_RATE
 from gyrorig_solver.discover.checks.residual_dependence import dependences_on
 from gyrorig_solver.discover.checks.smooth_alternatives import smooth_families
-from gyrorig_solver.estimate.attitude.attitude_projector import (
-    AttitudeProjector,
-    AttitudeState,
-    BlockSegment,
-    SegmentWhitener,
-)
+from gyrorig_solver.estimate.attitude.attitude_projector import AttitudeProjector
+from gyrorig_solver.estimate.attitude.block_segments import AttitudeState, BlockSegment
+from gyrorig_solver.estimate.attitude.segment_whitening import SegmentWhitener
 from gyrorig_solver.estimate.noise.noise_model import NoiseModel, Sampling
 from gyrorig_solver.model.recording_context import RecordingContext
 

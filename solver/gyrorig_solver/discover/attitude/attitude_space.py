@@ -27,10 +27,8 @@ from gyrorig_solver.discover.checks.residual_dependence import dependences_on
 from gyrorig_solver.discover.checks.smooth_alternatives import smooth_families
 from gyrorig_solver.discover.fit_space import FitSpace
 from gyrorig_solver.estimate.attitude.attitude_fit import solve_attitude, summarize_attitude_fit
-from gyrorig_solver.estimate.attitude.attitude_projector import (
-    AccelerometerReadings,
-    AttitudeProjector,
-)
+from gyrorig_solver.estimate.attitude.attitude_projector import AttitudeProjector
+from gyrorig_solver.estimate.attitude.block_segments import AccelerometerReadings
 from gyrorig_solver.estimate.cascade import fitted_derivatives, total_effect
 from gyrorig_solver.estimate.fitted_term import FittedTerm
 from gyrorig_solver.estimate.gyro_fit import GyroFit

@@ -20,10 +20,8 @@ import numpy as np
 
 from gyrorig_solver.data.arrays import FloatArray
 from gyrorig_solver.discover.checks.smooth_alternatives import BasisFamily
-from gyrorig_solver.estimate.attitude.attitude_projector import (
-    MIN_BOARD_RATE_RAD_S,
-    AttitudeState,
-)
+from gyrorig_solver.estimate.attitude.attitude_projector import MIN_BOARD_RATE_RAD_S
+from gyrorig_solver.estimate.attitude.block_segments import AttitudeState
 from gyrorig_solver.model.catalogue import catalogue
 from gyrorig_solver.model.causes.g_sensitivity import GSensitivity
 from gyrorig_solver.model.causes.supply_hum import SupplyHum

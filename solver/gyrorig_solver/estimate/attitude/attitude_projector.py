@@ -12,25 +12,24 @@ and functions of a noisy rate would be functions of that noise.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from functools import cached_property
+from dataclasses import replace
 from typing import Self
 
 import numpy as np
-from scipy.fft import dct, idct
 from scipy.sparse import csc_array, csr_array
 
 from gyrorig_solver.data.arrays import FloatArray
 from gyrorig_solver.estimate.attitude.attitude_fit import AttitudeFit
-from gyrorig_solver.estimate.attitude.attitude_solver import smooth_power
+from gyrorig_solver.estimate.attitude.block_segments import (
+    AccelerometerReadings,
+    BlockSegment,
+    build_block_segments,
+)
+from gyrorig_solver.estimate.attitude.segment_whitening import SegmentWhitener, build_whiteners
 from gyrorig_solver.estimate.cascade import fitted_derivatives, total_effect
 from gyrorig_solver.estimate.fitted_term import FittedTerm
 from gyrorig_solver.estimate.noise.noise_model import (
     NoiseModel,
-    Periodogram,
-    Sampling,
-    bin_spectrum,
-    fit_noise_levels,
 )
 from gyrorig_solver.estimate.nuisance_basis import NuisancePrior
 from gyrorig_solver.estimate.nuisance_projector import NuisanceProjector, SignalFunction
@@ -47,89 +46,10 @@ from gyrorig_solver.estimate.series_segment import SeriesSegment
 from gyrorig_solver.estimate.whitened_signals import WhitenedSignals, join_signals
 from gyrorig_solver.model.recording_context import RecordingContext
 from gyrorig_solver.model.signal_arrays import Signals, dense_signals
-from gyrorig_solver.model.signal_state import SignalState
 from gyrorig_solver.model.term import Term
 
-MAX_STEP_S = 0.01  # steps for functions of the rates: hand motion is slower
-BLOCK_RATE_PER_BAND = 8.0  # block rate over the band
-MIN_SEGMENT_S = 2.0  # shorter segments have too few coefficients in the band
-SCATTER_WINDOW_S, MIN_SCATTER_VALUES = (
-    5.0,
-    40,
-)  # window of the local scatter, and its minimum length
-MIN_SCATTER = 0.3  # relative to the mean: a smaller local scatter is chance
 CHUNK_S = 5.0  # longer than the correlation of a residual
 MIN_BOARD_RATE_RAD_S = 0.05  # a faster board is in motion
-
-
-@dataclass(frozen=True, eq=False)
-class AttitudeState(SignalState):
-    """A signal state with the specific force that the board's accelerometer measured."""
-
-    measured_force_m_s2: FloatArray | None = None  # (n, 3), stage frame
-
-    @cached_property
-    def specific_force_m_s2(self) -> FloatArray:
-        """The reading of the accelerometer, zeros without one, shape (n, 3)."""
-        return (
-            np.zeros((self.interval_count, 3))
-            if self.measured_force_m_s2 is None
-            else self.measured_force_m_s2
-        )
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class BlockSegment:
-    """One segment as block means, with its signal state."""
-
-    recording: int
-    state: AttitudeState
-    measured: FloatArray  # (blocks, 3), the gyro
-    modelled: FloatArray  # (blocks, 3), G w + b of the fit
-    rate: FloatArray  # (blocks, 3), of the stage, from the gyro
-    slope: FloatArray  # (blocks, 3), of the gyro by the lag
-    time_s: FloatArray  # (blocks,)
-    in_band_count: int  # coefficients in the band
-
-    @property
-    def block_count(self) -> int:
-        """The number of block means."""
-        return int(self.measured.shape[0])
-
-    @property
-    def residual(self) -> FloatArray:
-        """The residual of the base model, with clipped glitches, (blocks, 3)."""
-        return self.measured - self.modelled
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class SegmentWhitener:
-    """Whitens one segment and equalises its local scatter."""
-
-    std: FloatArray  # (kept, 3), of each coefficient
-    scatter: FloatArray  # (kept,), of each moment, about 1
-
-    def whiten(self, signals: FloatArray) -> FloatArray:
-        """Return signals (k, blocks, 3) in units of the noise, (k, 3 kept)."""
-        spectrum = dct(signals.transpose(0, 2, 1), axis=-1, norm="ortho")
-        in_band = spectrum[:, :, : self.std.shape[0]] / self.std.T
-        evened = idct(in_band, axis=-1, norm="ortho") / self.scatter
-        return np.asarray(evened.reshape(signals.shape[0], -1), dtype=np.float64)
-
-    def unwhiten(self, white_signal: FloatArray, block_count: int) -> FloatArray:
-        """Return the rates, (blocks, 3), of a whitened signal (3 kept,) in its band."""
-        scaled = white_signal.reshape(3, -1) * self.scatter
-        return self._padded(dct(scaled, axis=-1, norm="ortho") * self.std.T, block_count)
-
-    def weight(self, white_signal: FloatArray, block_count: int) -> FloatArray:
-        """Return the rates whose product with a signal equals the whitened product."""
-        scaled = white_signal.reshape(3, -1) / self.scatter
-        return self._padded(dct(scaled, axis=-1, norm="ortho") / self.std.T, block_count)
-
-    def _padded(self, spectrum: FloatArray, block_count: int) -> FloatArray:
-        padded = np.zeros((3, block_count))
-        padded[:, : spectrum.shape[1]] = spectrum
-        return np.asarray(idct(padded, axis=-1, norm="ortho").T, dtype=np.float64)
 
 
 class AttitudeProjector(NuisanceProjector):
@@ -195,8 +115,8 @@ class AttitudeProjector(NuisanceProjector):
             contexts: of each recording.
             readings: of each recording's accelerometer.
         """
-        block_segments = _build_block_segments(fit, contexts, readings)
-        noise, whiteners = _build_whiteners(block_segments, fit.band_hz)
+        block_segments = build_block_segments(fit, contexts, readings)
+        noise, whiteners = build_whiteners(block_segments, fit.band_hz)
         return cls(block_segments, whiteners, noise)
 
     def with_terms(self, fitted_terms: Sequence[FittedTerm]) -> "AttitudeProjector":
@@ -373,126 +293,3 @@ class AttitudeProjector(NuisanceProjector):
             first_term=layout.first_term,
             board_parameters=layout.size,
         )
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class AccelerometerReadings:
-    """The accelerometer readings of each recording, None without an accelerometer."""
-
-    readings: tuple[tuple[FloatArray, FloatArray] | None, ...]  # time (n,), force (n, 3)
-
-    def at(self, recording: int, time_s: FloatArray) -> FloatArray | None:
-        """Return the force at given times, (m, 3), by linear interpolation."""
-        reading = self.readings[recording]
-        if reading is None:
-            return None
-        return np.stack([np.interp(time_s, reading[0], axis) for axis in reading[1].T], axis=1)
-
-
-def _build_block_segments(
-    fit: AttitudeFit, contexts: Sequence[RecordingContext], readings: AccelerometerReadings
-) -> list[BlockSegment]:
-    solver = fit.solver
-    inverse = np.linalg.inv(solver.gain).T
-    segments = []
-    for k, (segment, recording) in enumerate(
-        zip(solver.segments, fit.recording_of_segment, strict=True)
-    ):
-        track = segment.track
-        steps_per_interval = max(1, int(MAX_STEP_S / track.step_s))
-        step_s = steps_per_interval * track.step_s
-        intervals_per_block = max(1, int(1.0 / (BLOCK_RATE_PER_BAND * fit.band_hz * step_s)))
-        block_count = track.begin_s.size // (intervals_per_block * steps_per_interval)
-        if block_count * intervals_per_block * step_s < MIN_SEGMENT_S:
-            continue
-        cleaned = solver.clean_segment(k)
-        n = block_count * intervals_per_block * steps_per_interval
-        rate = _group_means((cleaned.measured[:n] - solver.bias) @ inverse, steps_per_interval)
-        edges_s = np.append(track.begin_s[:n:steps_per_interval], track.end_s[n - 1])
-        middle_s = (edges_s[:-1] + edges_s[1:]) / 2.0
-        state = AttitudeState.build(
-            edges_s,
-            None,
-            np.ones(block_count * intervals_per_block, dtype=np.bool_),
-            instants_per_block=intervals_per_block,
-            intervals_per_instant=1,
-            bandwidth_hz=None,
-            gain=solver.gain,
-            bias_rad_s=solver.bias,
-            rate_rad_s=rate,
-            context=contexts[recording],
-        )
-        state = replace(state, measured_force_m_s2=readings.at(recording, middle_s + solver.lag_s))
-        measured = _group_means(cleaned.measured[:n], intervals_per_block * steps_per_interval)
-        segments.append(
-            BlockSegment(
-                recording=recording,
-                state=state,
-                measured=measured,
-                modelled=measured
-                - _group_means(cleaned.residual[:n], intervals_per_block * steps_per_interval),
-                rate=_group_means(rate, intervals_per_block),
-                slope=_group_means(cleaned.slope[:n], intervals_per_block * steps_per_interval),
-                time_s=middle_s.reshape(block_count, intervals_per_block).mean(axis=1),
-                in_band_count=int(2.0 * fit.band_hz * block_count * intervals_per_block * step_s),
-            )
-        )
-    return segments
-
-
-def _group_means(values: FloatArray, group_size: int) -> FloatArray:
-    """Return means over groups of rows, (n / group_size, 3)."""
-    return np.asarray(values.reshape(-1, group_size, 3).mean(axis=1), dtype=np.float64)
-
-
-def _build_whiteners(
-    segments: Sequence[BlockSegment], band_hz: float
-) -> tuple[NoiseModel, list[SegmentWhitener]]:
-    """Return the smooth noise model, and the whitener of each segment."""
-    step_s = float(np.median([np.median(np.diff(segment.time_s)) for segment in segments]))
-    rate_hz = 1.0 / step_s
-    sampling = Sampling(rate_hz, 1, None, 0.0, differentiated=True)
-    periodograms = [
-        Periodogram.of(segment.residual, rate_hz).band(0.0, band_hz) for segment in segments
-    ]
-    noise = fit_noise_levels(bin_spectrum(periodograms), sampling)
-    power, smooth, frequency = [], [], []
-    for segment in segments:
-        # The constant of a series represents all frequencies below its first coefficient.
-        f = (
-            np.maximum(np.arange(segment.in_band_count), 0.5)
-            * rate_hz
-            / (2.0 * segment.block_count)
-        )
-        frequency.append(f)
-        smooth.append(noise.density(f) * rate_hz / 2.0)
-        power.append(dct(segment.residual, axis=0, norm="ortho")[: segment.in_band_count] ** 2)
-    level = smooth_power(np.concatenate(power) / np.concatenate(smooth), np.concatenate(frequency))
-    ends = np.cumsum([segment.in_band_count for segment in segments])[:-1]
-    whiteners = []
-    for segment, segment_level, nominal_level in zip(
-        segments, np.split(level, ends), smooth, strict=True
-    ):
-        whitener = SegmentWhitener(
-            np.sqrt(segment_level * nominal_level), np.ones(segment.in_band_count)
-        )
-        whiteners.append(_scale_by_scatter(segment, whitener))
-    return noise, whiteners
-
-
-def _scale_by_scatter(segment: BlockSegment, whitener: SegmentWhitener) -> SegmentWhitener:
-    """Return a whitener with the local scatter of the residual as an additional weight."""
-    white = whitener.whiten(segment.residual[None]).reshape(3, -1)
-    power = np.mean(white**2, axis=0)
-    step_s = float(segment.time_s[-1] - segment.time_s[0]) / power.size
-    width = max(round(SCATTER_WINDOW_S / step_s), MIN_SCATTER_VALUES // 3)
-    scatter = np.sqrt(_running_mean(power, min(width, power.size)))
-    return replace(whitener, scatter=np.maximum(scatter, MIN_SCATTER))
-
-
-def _running_mean(values: FloatArray, width: int) -> FloatArray:
-    """Return the centred running mean, (n,); the end values continue beyond the ends."""
-    before = width // 2
-    padded = np.pad(values, (before, width - 1 - before), mode="edge")
-    total = np.concatenate([[0.0], np.cumsum(padded)])
-    return np.asarray(np.maximum(total[width:] - total[:-width], 0.0) / width, dtype=np.float64)
