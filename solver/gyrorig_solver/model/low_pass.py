@@ -16,7 +16,7 @@ from gyrorig_solver.model.recursive_filters import (
     ramp_invariant,
 )
 
-NEGLIGIBLE_DECAY = 40.0  # exponent of what is left of a filter's state: below rounding
+NEGLIGIBLE_DECAY = 40.0  # exponent of a filter's remaining state: below rounding
 MEAN_SHARPENING = (-0.125, 1.25, -0.125)  # corrects means for straight-line interpolation
 
 
