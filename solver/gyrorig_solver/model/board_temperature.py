@@ -24,6 +24,7 @@ from gyrorig_solver.model.recursive_filters import filter_from_rest
 GRID_STEP_S = 1.0  # of the smoothed grid
 SMOOTHING_TIMES_S = (20.0, 12.0, 8.0, 5.0, 3.0, 2.0, 1.0)  # tau, in the order of the attempts
 # Of the readings' scatter: the fit may miss a staircase by this share of it.
+MIN_OCCUPIED_CELLS = 3  # with readings; fewer do not determine a curve
 MAX_MISFIT_SHARE = 0.7
 MIN_READINGS = 8  # readings
 
@@ -96,6 +97,9 @@ def _smooth_readings(time_s: FloatArray, degc: FloatArray) -> tuple[FloatArray, 
     # Every cell has the same weight, for any number of readings.
     occupied = (weight > 0.0).astype(np.float64)
     mean = cell_sum / np.maximum(weight, 1.0)
+    if np.sum(occupied) < MIN_OCCUPIED_CELLS:
+        constant = np.full(count, np.mean(degc))
+        return time_s[0] + GRID_STEP_S * np.arange(count), constant
     smoothed, scatter = mean, _cell_std(degc, mean[occupied > 0.0])
     for tau_s in SMOOTHING_TIMES_S:
         smoothed = _whittaker_smooth(mean, occupied, (tau_s / GRID_STEP_S) ** 4)
