@@ -5,7 +5,7 @@ from typing import Protocol
 
 import numpy as np
 
-from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.data import FloatArray
 
 
 class Block(Protocol):

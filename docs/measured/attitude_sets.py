@@ -7,8 +7,8 @@ from docs.markdown import number, table
 from docs.measured.sessions import LoadedRecording, MeasuredSets, gain_and_std, value_and_std
 from docs.measured.tables import MILLI, findings, reasons, refusals
 
-from gyrorig_solver.calibration.calibration_document import CalibrationDocument
-from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.calibration import CalibrationDocument
+from gyrorig_solver.data import FloatArray
 
 # trial: (board, version) as the page's commands make them
 VERSIONS = {

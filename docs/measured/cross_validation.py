@@ -19,8 +19,8 @@ from docs.measured.attitude_sets import SAME_UNIT, fit_of, rest_bias
 from docs.measured.sessions import LoadedRecording, MeasuredSets
 from tests.support.rotation_error import window_rotation_error
 
-from gyrorig_solver.data.arrays import FloatArray
-from gyrorig_solver.estimate.attitude.attitude_fit import fit_attitude
+from gyrorig_solver.data import FloatArray
+from gyrorig_solver.estimate import fit_attitude
 
 WINDOW_S = 1.0
 BLOCK_S = 10.0

@@ -7,14 +7,14 @@ from docs.markdown import number, table
 from docs.measured.sessions import EXPLAINED, MeasuredSets
 
 from gyrorig_protocol.recording.reader import read_recording
-from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.data import FloatArray
 from gyrorig_solver.discover.attitude.attitude_space import fit_attitude_space
 from gyrorig_solver.discover.attitude.attitude_terms import MovingBias, ReferenceSmoothing
 from gyrorig_solver.estimate.fitted_term import free_term
-from gyrorig_solver.findings import FindingsDocument
-from gyrorig_solver.findings.findings_document import CauseEntry, GainEntry, parse_findings
+from gyrorig_solver.findings import CauseEntry, FindingsDocument
+from gyrorig_solver.findings.findings_document import GainEntry, parse_findings
 from gyrorig_solver.findings.findings_wording import size_text, verdict_words
-from gyrorig_solver.model.term import start_values
+from gyrorig_solver.model import start_values
 from gyrorig_solver.pipeline.board_data import load_board
 from gyrorig_solver.pipeline.explain_board import load_attitude_recordings
 

@@ -12,9 +12,8 @@ from docs.measured.sessions import MeasuredSets, gain_and_std, value_and_std
 from docs.measured.tables import AXES, findings, gains_beside, reasons, untold
 
 from gyrorig_solver.calibration.calibration_wording import value_std_pairs
-from gyrorig_solver.data.arrays import FloatArray
-from gyrorig_solver.model.gain_matrix import factorise
-from gyrorig_solver.model.parameter_units import PARAMETER_GROUPS, format_quantity
+from gyrorig_solver.data import FloatArray
+from gyrorig_solver.model import PARAMETER_GROUPS, factorise, format_quantity
 
 
 def xsens_found(measured: MeasuredSets) -> str:

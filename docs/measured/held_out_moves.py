@@ -15,12 +15,13 @@ from docs.measured.printed import IMU_TK
 from docs.measured.sessions import MeasuredSets
 from scipy.optimize import least_squares
 
-from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.data import FloatArray
 from gyrorig_solver.data.samples import GyroSamples
-from gyrorig_solver.estimate.gravity_fit import MIN_TURN_RAD, fit_gravity
-from gyrorig_solver.reference.gravity_reference import StaticPoses, find_poses
-from gyrorig_solver.reference.known_turns import TimeInterval
-from gyrorig_solver.reference.rotations import total_rotation, turn_vectors
+from gyrorig_solver.estimate import fit_gravity
+from gyrorig_solver.estimate.gravity_fit import MIN_TURN_RAD
+from gyrorig_solver.reference import TimeInterval, find_poses, turn_vectors
+from gyrorig_solver.reference.gravity_reference import StaticPoses
+from gyrorig_solver.reference.rotations import total_rotation
 
 GRAVITY_M_S2 = 9.81744  # of imu_tk's example; only the accelerometer's scale rests on it
 OFFSET_COUNTS = 32768  # of the Xsens' offset binary, as config/imports/imu-tk-xsens.yaml has it

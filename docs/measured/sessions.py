@@ -18,14 +18,14 @@ import numpy as np
 from gyrorig_protocol.identity import BoardId
 from gyrorig_protocol.recording.reader import read_recording
 from gyrorig_protocol.recording.recording import times_ns
-from gyrorig_solver.calibration.calibration_document import CalibrationDocument, parse_calibration
-from gyrorig_solver.calibration.calibration_store import CalibrationStore
+from gyrorig_solver.calibration import CalibrationDocument, CalibrationStore, parse_calibration
 from gyrorig_solver.cli import run
-from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.data import FloatArray
 from gyrorig_solver.data.samples import GyroSamples, load_samples
-from gyrorig_solver.model.gain_matrix import FACTOR_NAMES, GainFactors, factor_jacobian
-from gyrorig_solver.reference.attitude_reference import AttitudeReference, read_attitude
-from gyrorig_solver.reference.known_turns import KnownTurn, TimeInterval, read_turns
+from gyrorig_solver.model import FACTOR_NAMES, factor_jacobian
+from gyrorig_solver.model.gain_matrix import GainFactors
+from gyrorig_solver.reference import AttitudeReference, TimeInterval, read_attitude, read_turns
+from gyrorig_solver.reference.known_turns import KnownTurn
 
 ROOT = Path(__file__).resolve().parents[2]
 VARIABLE = "GYRORIG_DATA"

@@ -6,10 +6,10 @@ import numpy as np
 from docs.markdown import number, table
 from docs.measured.sessions import EXPLAINED, CommandRun, MeasuredSets
 
-from gyrorig_solver.calibration.calibration_document import CalibrationDocument
+from gyrorig_solver.calibration import CalibrationDocument
 from gyrorig_solver.calibration.calibration_wording import collapse_groups, value_std_pairs
-from gyrorig_solver.data.arrays import FloatArray
-from gyrorig_solver.model.parameter_units import PARAMETER_GROUPS, format_quantity
+from gyrorig_solver.data import FloatArray
+from gyrorig_solver.model import PARAMETER_GROUPS, format_quantity
 
 MILLI = 1e3
 AXES = "xyz"

@@ -8,7 +8,7 @@ from docs.markdown import number, table
 from docs.measured.sessions import LoadedRecording, MeasuredSets, gain_and_std, value_and_std
 from docs.measured.tables import AXES, findings, gains_beside, reasons, refusals, untold
 
-from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.data import FloatArray
 
 RATE_HZ = 102.4  # of the Ferraris session, by its repository's example
 

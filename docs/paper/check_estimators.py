@@ -28,7 +28,7 @@ from docs.paper.motion import (
 )
 from docs.paper.printed import GY80
 
-from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.data import FloatArray
 
 SEED = 20160202
 MOUNT_DEG = 8.8  # check_tables.py, table-3-mount

@@ -15,7 +15,7 @@ import numpy as np
 from docs.markdown import Block, matrix, number, numbers, show, table
 from docs.paper.motion import Corners, Motion, along, calibrated, paths
 
-from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.data import FloatArray
 from gyrorig_solver.estimate.paper.paper_angles import (
     Composition,
     composed_attitude,

@@ -18,7 +18,7 @@ from docs.markdown import Block, number, show, table
 from docs.paper.motion import along, calibrated, paths
 from docs.paper.printed import GY80
 
-from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.data import FloatArray
 from gyrorig_solver.estimate.paper.paper_angles import Composition
 from gyrorig_solver.estimate.paper.paper_method import READING_OF_TABLE_3, BiasSource, PaperResult
 

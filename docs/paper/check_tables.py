@@ -17,7 +17,7 @@ from docs.markdown import Block, matrix, number, numbers, show, table
 from docs.paper.motion import rotation_about_tilt_axis
 from docs.paper.printed import BOARDS, GY80, MPU, PrintedBoard
 
-from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.data import FloatArray
 from gyrorig_solver.estimate.paper.paper_matrices import (
     Factors,
     lower_factor,

@@ -30,7 +30,7 @@ from docs.paper.printed import GY80, MPU, PrintedBoard
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.data import FloatArray
 from gyrorig_solver.estimate.paper.paper_angles import integrated_rad
 from gyrorig_solver.estimate.paper.paper_method import BiasSource, PaperResult
 

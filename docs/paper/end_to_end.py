@@ -24,15 +24,11 @@ import yaml
 from docs.markdown import Block, number, numbers, show, table
 
 from gyrorig_protocol.recording.reader import read_recording
-from gyrorig_solver.data.arrays import BoolArray, FloatArray
+from gyrorig_solver.data import BoolArray, FloatArray
 from gyrorig_solver.data.samples import load_samples
-from gyrorig_solver.estimate.paper.paper_method import (
-    READING_OF_TABLE_3,
-    BiasSource,
-    PaperResult,
-    calibrate_as_printed,
-)
-from gyrorig_solver.reference.unit.pan_tilt_recording import read_pan_tilt_reference
+from gyrorig_solver.estimate import calibrate_as_printed
+from gyrorig_solver.estimate.paper.paper_method import READING_OF_TABLE_3, BiasSource, PaperResult
+from gyrorig_solver.reference import read_pan_tilt_reference
 
 ROOT = Path(__file__).resolve().parents[2]
 SEED = 1

@@ -10,13 +10,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gyrorig_solver.data.arrays import BoolArray, FloatArray
+from gyrorig_solver.data import BoolArray, FloatArray
+from gyrorig_solver.estimate import calibrate_as_printed
 from gyrorig_solver.estimate.paper.paper_method import (
     READING_OF_TABLE_3,
     BiasSource,
     PaperReading,
     PaperResult,
-    calibrate_as_printed,
 )
 
 Corners = list[tuple[float, float]]

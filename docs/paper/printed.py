@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.data import FloatArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -29,8 +29,8 @@ from tests.bench.synthetic_fleet import FleetPlan, write_fleet
 
 from gyrorig_protocol.identity import BoardId
 from gyrorig_protocol.recording.reader import read_recording
-from gyrorig_solver.calibration.calibration_store import CalibrationStore
-from gyrorig_solver.fleet.store.store_index import StoreIndex
+from gyrorig_solver.calibration import CalibrationStore
+from gyrorig_solver.fleet.store import StoreIndex
 from gyrorig_solver.fleet.store.store_queries import VersionFilter, newest_versions
 
 BIN = Path(sys.executable).parent

@@ -21,8 +21,9 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 from tests.bench.fleet.browser import PATIENCE_S, chromium
 from tests.bench.synthetic_fleet import FleetPlan, write_fleet
 
-from gyrorig_solver.fleet.drift.fleet_overview import build_overview, read_origins
-from gyrorig_solver.fleet.page.fleet_page import write_fleet_page
+from gyrorig_solver.fleet.drift import build_overview
+from gyrorig_solver.fleet.drift.fleet_overview import read_origins
+from gyrorig_solver.fleet.page import write_fleet_page
 
 FREEZE_MS = 500.0  # longer is felt as a stop
 LOAD_MS = 10_000.0

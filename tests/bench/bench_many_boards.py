@@ -38,9 +38,8 @@ from gyrorig_protocol.program import parse_program
 from gyrorig_protocol.recording.reader import read_recording
 from gyrorig_protocol.recording.recording import Recording
 from gyrorig_solver.data.samples import GyroSamples, load_samples
-from gyrorig_solver.estimate.fitted_term import FittedTerm
-from gyrorig_solver.estimate.gyro_fit import GyroFit
-from gyrorig_solver.model.gain_matrix import FACTOR_NAMES, factorise
+from gyrorig_solver.estimate import FittedTerm, GyroFit
+from gyrorig_solver.model import FACTOR_NAMES, factorise
 from gyrorig_solver.pipeline import solve_recordings
 from gyrorig_solver.pipeline.criticised_fit import JointFit, solve_jointly
 from gyrorig_solver.pipeline.explain_board import BoardExplanation, explain_unit_boards

@@ -18,7 +18,7 @@ from tests.bench.bench_uncertainty import ROOT, judge, record, show
 
 from gyrorig_protocol.program import parse_program
 from gyrorig_protocol.recording.reader import read_recording
-from gyrorig_solver.calibration.sensor_profiles import find_profile
+from gyrorig_solver.calibration import find_profile
 from gyrorig_solver.pipeline.board_data import load_board
 from gyrorig_solver.pipeline.prepare_board import fit_base
 from gyrorig_solver.plan import load_rig, predict_program, predict_total

@@ -32,11 +32,10 @@ from tests.bench.peers import turns
 from gyrorig_protocol.recording.reader import read_recording
 from gyrorig_solver.calibration.calibration_document import calibration_as_yaml
 from gyrorig_solver.data.clocks.lower_envelope import _cached_envelope
-from gyrorig_solver.estimate.motion_fit import fit_motion
-from gyrorig_solver.estimate.observability_remedies import UNIT_REMEDIES
+from gyrorig_solver.estimate import UNIT_REMEDIES, fit_motion
 from gyrorig_solver.pipeline.board_data import load_board
 from gyrorig_solver.pipeline.solve_board import document_builder
-from gyrorig_solver.reference.unit.pan_tilt_recording import read_pan_tilt_reference
+from gyrorig_solver.reference import read_pan_tilt_reference
 
 ROOT = Path(__file__).resolve().parents[2]
 PROGRAM = ROOT / "config" / "programs" / "paper.yaml"  # 75 s

@@ -24,9 +24,9 @@ import numpy as np
 
 from gyrorig_protocol.recording.reader import read_recording
 from gyrorig_solver.check.true_values import _true_values
-from gyrorig_solver.discover.calibration_changes import CALIBRATION_PARAMETERS, CalibrationValues
-from gyrorig_solver.estimate.converged_fit import ConvergedFit
-from gyrorig_solver.estimate.nuisance_projector import NuisanceProjector
+from gyrorig_solver.discover import CALIBRATION_PARAMETERS
+from gyrorig_solver.discover.calibration_changes import CalibrationValues
+from gyrorig_solver.estimate import ConvergedFit, NuisanceProjector
 from gyrorig_solver.pipeline.board_data import load_board
 from gyrorig_solver.pipeline.explain_board import explain_recordings
 from gyrorig_solver.pipeline.prepare_board import fit_base

@@ -26,8 +26,7 @@ from tests.bench.bench_fleet import GYRORIG, MAKE, batch, cluster, say
 from tests.bench.fleet_machine import adopt, below
 from tests.bench.s3_server import BUCKET, served
 
-from gyrorig_solver.fleet.store.store_backend import open_index
-from gyrorig_solver.fleet.store.store_verification import verify
+from gyrorig_solver.fleet.store import open_index, verify
 from gyrorig_solver.storage import storage_at
 
 FOREIGN = 8  # files in the spool that are no recordings

@@ -18,17 +18,15 @@ from gyrorig_protocol.identity import BoardId
 from gyrorig_protocol.recording.messages import SESSION_EVENT_TOPIC, EventKind, SessionEvent
 from gyrorig_protocol.recording.writer import RecordingWriter
 from gyrorig_solver.calibration.calibration_store import create_sharded_store
-from gyrorig_solver.fleet.drift.fleet_overview import PARAMETER_COLUMNS
+from gyrorig_solver.fleet.drift import PARAMETER_COLUMNS
+from gyrorig_solver.fleet.jobs import SolveSettings
 from gyrorig_solver.fleet.jobs.batch_run import RECORDING_CACHE_FILE
 from gyrorig_solver.fleet.jobs.recording_cache import RecordingCache
-from gyrorig_solver.fleet.jobs.session_job import SolveSettings, job_key
 from gyrorig_solver.fleet.jobs.spool_scanner import group_into_sessions, read_recordings, scan_spool
+from gyrorig_solver.fleet.store import IndexRow, StoreIndex, job_key, verify
 from gyrorig_solver.fleet.store.folder_journal import FolderJournal
-from gyrorig_solver.fleet.store.index_rows import IndexRow
 from gyrorig_solver.fleet.store.manifest import write_manifests
-from gyrorig_solver.fleet.store.store_index import StoreIndex
 from gyrorig_solver.fleet.store.store_queries import VersionFilter, newest_versions
-from gyrorig_solver.fleet.store.store_verification import verify
 from gyrorig_solver.storage import Folder
 
 

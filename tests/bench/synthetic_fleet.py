@@ -13,7 +13,7 @@ import numpy as np
 from tests.bench.fleet.parts import ERROR, SCATTER, SPREAD
 
 from gyrorig_solver.calibration.calibration_store import create_sharded_store
-from gyrorig_solver.fleet.drift.fleet_overview import PARAMETER_COLUMNS
+from gyrorig_solver.fleet.drift import PARAMETER_COLUMNS
 from gyrorig_solver.fleet.store.index_rows import sql_columns
 
 

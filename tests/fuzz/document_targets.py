@@ -13,7 +13,7 @@ from gyrorig_protocol.errors import InputError, UsageError
 from gyrorig_protocol.identity import BoardId
 from gyrorig_protocol.profile import parse_profile
 from gyrorig_protocol.program import parse_program
-from gyrorig_solver.calibration.calibration_document import parse_calibration
+from gyrorig_solver.calibration import parse_calibration
 from gyrorig_solver.calibration.unit_document import (
     UnitIdentity,
     parse_unit,

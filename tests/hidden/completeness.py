@@ -57,16 +57,21 @@ from gyrorig_solver.discover.motion_space import MotionFitSpace
 from gyrorig_solver.discover.score_tests import scan_catalogue
 from gyrorig_solver.discover.template_choice import all_templates
 from gyrorig_solver.discover.testable_terms import count_tests, testable_terms
-from gyrorig_solver.estimate.converged_fit import ConvergedFit
+from gyrorig_solver.estimate import (
+    ConvergedFit,
+    NoiseModel,
+    NuisanceProjector,
+    SessionFit,
+    Spectrum,
+    nominal_levels,
+)
+from gyrorig_solver.estimate.linear.whitening import whiten_residual
 from gyrorig_solver.estimate.motion_fit import solve_motion
-from gyrorig_solver.estimate.noise.noise_model import NoiseModel, Sampling, Spectrum, nominal_levels
-from gyrorig_solver.estimate.noise.whitening import whiten_residual
-from gyrorig_solver.estimate.nuisance_projector import NuisanceProjector
-from gyrorig_solver.estimate.session_fit import SessionFit
+from gyrorig_solver.estimate.noise.noise_model import Sampling
 from gyrorig_solver.model.catalogue import catalogue
 from gyrorig_solver.pipeline.recording_contexts import read_contexts
 from gyrorig_solver.pipeline.term_selection import select_terms
-from gyrorig_solver.reference.unit.pan_tilt_recording import read_pan_tilt_reference
+from gyrorig_solver.reference import read_pan_tilt_reference
 
 ROOT = Path(__file__).resolve().parents[2]
 SEED = 7

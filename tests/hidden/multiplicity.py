@@ -32,14 +32,13 @@ from tests.hidden.scoring.goals import FALSE_ALARMS
 from tests.hidden.scoring.once import Multiplicity
 
 from gyrorig_protocol.recording.reader import read_recording
-from gyrorig_solver.data.arrays import FloatArray, IntArray
+from gyrorig_solver.data import FloatArray, IntArray
 from gyrorig_solver.discover.checks.typical_noise import build_projector
 from gyrorig_solver.discover.score_tests import testable_places
 from gyrorig_solver.discover.template_choice import all_templates, quick_templates
 from gyrorig_solver.discover.testable_terms import count_tests, testable_terms
-from gyrorig_solver.estimate.nuisance_projector import NuisanceProjector
-from gyrorig_solver.model.signal_state import SignalState
-from gyrorig_solver.model.term import Term, value_indices
+from gyrorig_solver.estimate import NuisanceProjector
+from gyrorig_solver.model import SignalState, Term, value_indices
 from gyrorig_solver.pipeline.prepare_board import fit_base_model
 
 OUT = Path(__file__).resolve().parents[2] / "docs" / "discovery" / "multiplicity.json"

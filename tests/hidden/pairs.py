@@ -21,10 +21,9 @@ from gyrorig_solver.discover.motion_space import MotionFitSpace
 from gyrorig_solver.discover.score_tests import scan_catalogue
 from gyrorig_solver.discover.template_choice import all_templates
 from gyrorig_solver.discover.testable_terms import count_tests, testable_terms
-from gyrorig_solver.estimate.converged_fit import ConvergedFit
-from gyrorig_solver.estimate.nuisance_projector import NuisanceProjector
+from gyrorig_solver.estimate import ConvergedFit, NuisanceProjector
+from gyrorig_solver.model import value_names
 from gyrorig_solver.model.catalogue import catalogue
-from gyrorig_solver.model.term import value_names
 
 GOAL = 0.005
 SEED = 7

@@ -13,7 +13,7 @@ from tests.hidden.fast import Line, Sessions
 
 from gyrorig_protocol.recording.reader import read_recording
 from gyrorig_solver.data.samples import GyroSamples, load_samples
-from gyrorig_solver.discover.cause_findings import CauseFindings, NamedCause
+from gyrorig_solver.discover import CauseFindings, NamedCause
 from gyrorig_solver.pipeline import board_data
 from gyrorig_solver.pipeline.explain_board import explain_recordings
 

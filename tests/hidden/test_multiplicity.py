@@ -8,7 +8,7 @@ from tests.hidden.multiplicity import Bank, drawn
 from tests.hidden.scoring.once import Multiplicity, borne, chance_once
 from tests.hidden.truth.detectable import detectable_of
 
-from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.data import FloatArray
 from gyrorig_solver.model.catalogue import catalogue
 
 NORMAL = NormalDist()

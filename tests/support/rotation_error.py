@@ -11,8 +11,8 @@ from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
 from gyrorig_protocol.errors import InputError
-from gyrorig_solver.data.arrays import BoolArray, FloatArray, IntArray
-from gyrorig_solver.reference.attitude_reference import AttitudeReference
+from gyrorig_solver.data import BoolArray, FloatArray, IntArray
+from gyrorig_solver.reference import AttitudeReference
 from gyrorig_solver.reference.rotations import total_rotation
 
 # Integration step: short relative to hand motion, for gyro rates of 50 Hz or more.

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gyrorig_solver.data.arrays import FloatArray, IntArray
+from gyrorig_solver.data import FloatArray, IntArray
 from gyrorig_solver.data.clocks.clock_faults import CounterArray
 from gyrorig_solver.data.clocks.clock_map import ClockMap
 from gyrorig_solver.data.clocks.latency_bounds import (

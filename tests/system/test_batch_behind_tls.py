@@ -20,7 +20,7 @@ from cryptography.hazmat.primitives.serialization import (
 from cryptography.x509.oid import NameOID
 from tests.system.conftest import Clusters
 
-from gyrorig_solver.fleet.store.store_verification import verify
+from gyrorig_solver.fleet.store import verify
 
 pytest.importorskip("distributed", reason="dask.distributed is not installed: pip install .[fleet]")
 

@@ -18,8 +18,7 @@ from tests.system.conftest import Clusters
 
 from gyrorig_protocol.errors import UsageError
 from gyrorig_solver.cli import run
-from gyrorig_solver.fleet.store.store_index import StoreIndex
-from gyrorig_solver.fleet.store.store_verification import verify
+from gyrorig_solver.fleet.store import StoreIndex, verify
 
 pytest.importorskip("distributed", reason="dask.distributed is not installed: pip install .[fleet]")
 

@@ -5,7 +5,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from gyrorig_solver.calibration.calibration_document import parse_calibration
+from gyrorig_solver.calibration import parse_calibration
 
 
 def test_demo_goes_the_whole_way(tmp_path: Path) -> None:

@@ -13,9 +13,8 @@ import pytest
 
 from gyrorig_protocol.documents import parse_yaml
 from gyrorig_protocol.recording.reader import read_recording
-from gyrorig_solver.calibration.calibration_store import CalibrationStore
-from gyrorig_solver.check import compare_with_truth
-from gyrorig_solver.check.true_values import ParameterComparison
+from gyrorig_solver.calibration import CalibrationStore
+from gyrorig_solver.check import ParameterComparison, compare_with_truth
 from gyrorig_solver.pipeline import solve_and_store
 
 ROOT = Path(__file__).parents[2]

@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 
 from gyrorig_protocol.documents import parse_yaml
-from gyrorig_solver.calibration.calibration_document import parse_calibration
+from gyrorig_solver.calibration import parse_calibration
 from gyrorig_solver.check import score_causes
 from gyrorig_solver.findings.findings_document import parse_findings
 

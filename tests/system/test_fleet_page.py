@@ -19,14 +19,14 @@ import pytest
 from tests.bench.fleet.parts import ERROR
 from tests.bench.synthetic_fleet import FleetPlan, write_fleet
 
-from gyrorig_solver.fleet.drift.common_offsets import describe_offsets
-from gyrorig_solver.fleet.drift.fleet_overview import (
+from gyrorig_solver.fleet.drift import (
     PARAMETER_COLUMNS,
     FleetOverview,
     build_overview,
-    read_origins,
+    describe_offsets,
 )
-from gyrorig_solver.fleet.page.fleet_page import write_fleet_page
+from gyrorig_solver.fleet.drift.fleet_overview import read_origins
+from gyrorig_solver.fleet.page import write_fleet_page
 
 pytestmark = pytest.mark.pages
 ROOT = Path(__file__).resolve().parents[2]

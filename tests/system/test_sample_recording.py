@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from gyrorig_protocol.recording.reader import read_recording
-from gyrorig_solver.model.gain_matrix import factorise
+from gyrorig_solver.model import factorise
 from gyrorig_solver.pipeline.fit_board import solve_recording
 
 # Second-order Butterworth, 25 Hz: the delay at zero frequency that the published lag,

@@ -8,9 +8,10 @@ recording. `correction` has the inverse sensor model, `affine` the fast arithmet
 
 from gyrorig_solver.apply.board_calibration import Calibration
 from gyrorig_solver.apply.calibration_file import read_calibration
-from gyrorig_solver.apply.correction import Correction, Frame
+from gyrorig_solver.apply.correction import FRAMES, Correction, Frame
 
 __all__ = [
+    "FRAMES",
     "Calibration",
     "Correction",
     "Frame",

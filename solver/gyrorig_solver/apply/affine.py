@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.data import FloatArray
 
 SAMPLES_PER_ROW = 4
 BLOCK_SAMPLES = 2048 * SAMPLES_PER_ROW  # 200 kB as float64, which fits in a level 2 cache

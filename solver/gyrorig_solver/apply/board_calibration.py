@@ -24,8 +24,8 @@ from gyrorig_solver.apply.correction import (
     build_bias_correction,
     build_correction,
 )
-from gyrorig_solver.calibration.calibration_document import CalibrationDocument
-from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.calibration import CalibrationDocument
+from gyrorig_solver.data import FloatArray
 
 ReadingUnit = Literal["counts", "rad/s", "deg/s"]
 READING_UNITS: tuple[ReadingUnit, ...] = ("counts", "rad/s", "deg/s")

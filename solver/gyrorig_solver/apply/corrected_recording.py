@@ -24,10 +24,11 @@ from gyrorig_protocol.recording.recording import Recording
 from gyrorig_protocol.recording.recording_copy import MessageBatch, NewTopic, copy_with_topics
 from gyrorig_solver.apply.board_calibration import Calibration
 from gyrorig_solver.apply.correction import Correction
-from gyrorig_solver.data.arrays import BoolArray, FloatArray, IntArray
+from gyrorig_solver.data import BoolArray, FloatArray, IntArray
 from gyrorig_solver.data.count_columns import stored_column
 from gyrorig_solver.data.samples import GyroSamples, load_samples
-from gyrorig_solver.model.board_temperature import MIN_READINGS, BoardTemperature
+from gyrorig_solver.model import BoardTemperature
+from gyrorig_solver.model.board_temperature import MIN_READINGS
 
 SAMPLES_PER_BATCH = 1 << 16
 _BOARD_SETTINGS = ("gyro_scale_rad_s", "gyro_full_scale_dps", "bandwidth_hz", "config_hash")

@@ -20,7 +20,7 @@ import numpy as np
 
 from gyrorig_protocol.errors import InputError, MachineError, UsageError
 from gyrorig_solver.apply.board_calibration import Calibration, ReadingUnit
-from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.data import FloatArray
 from gyrorig_solver.data.text_table import check_text_table
 
 RATE_COLUMNS = ("rate_x_rad_s", "rate_y_rad_s", "rate_z_rad_s")

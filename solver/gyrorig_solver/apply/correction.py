@@ -21,8 +21,8 @@ import numpy as np
 from gyrorig_protocol.errors import InputError, UsageError
 from gyrorig_solver.apply.affine import Output, Readings, transform_readings
 from gyrorig_solver.apply.calibration_file import APPLIED_PARAMETERS, BASE_PARAMETERS
-from gyrorig_solver.calibration.calibration_document import CalibrationDocument, Parameter
-from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.calibration import CalibrationDocument, Parameter
+from gyrorig_solver.data import FloatArray
 
 Frame = Literal["stage", "sensor"]
 FRAMES: tuple[Frame, ...] = ("stage", "sensor")

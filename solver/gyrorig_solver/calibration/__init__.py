@@ -5,5 +5,34 @@ What to use when: `calibration_builder.build_calibration` for the document of a 
 `verdict` for the verdict; `calibration_wording` and `calibration_summary` for texts;
 `paper_calibration` for the paper's method. `pipeline.solve_board` does all of it for a recording.
 
-It exports no names itself: `apply` reads a document with numpy alone, and the builder needs scipy.
+It exports the names that need numpy alone, because `apply` reads a document without scipy. Import
+the others from their modules.
 """
+
+from gyrorig_solver.calibration.calibration_document import (
+    CalibrationDocument,
+    Parameter,
+    UnitPriorRecord,
+    calibration_as_mapping,
+    parse_calibration,
+)
+from gyrorig_solver.calibration.calibration_store import (
+    STORE_FILE,
+    VERSION_FILE,
+    CalibrationStore,
+    StoredVersion,
+)
+from gyrorig_solver.calibration.sensor_profiles import find_profile
+
+__all__ = [
+    "STORE_FILE",
+    "VERSION_FILE",
+    "CalibrationDocument",
+    "CalibrationStore",
+    "Parameter",
+    "StoredVersion",
+    "UnitPriorRecord",
+    "calibration_as_mapping",
+    "find_profile",
+    "parse_calibration",
+]

@@ -35,9 +35,9 @@ from gyrorig_solver.calibration.calibration_document import (
     Validity,
 )
 from gyrorig_solver.calibration.verdict import judge_fit, profile_warnings
-from gyrorig_solver.data.arrays import FloatArray
-from gyrorig_solver.estimate.gyro_fit import GyroFit
-from gyrorig_solver.model.gain_matrix import factorise
+from gyrorig_solver.data import FloatArray
+from gyrorig_solver.estimate import GyroFit
+from gyrorig_solver.model import factorise
 
 SAME_CLOCK_PPM = (
     1e-3  # closer rates mean the same clock: rounding to 1e-9 s in 10 s is a tenth of it

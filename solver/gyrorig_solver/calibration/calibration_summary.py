@@ -11,7 +11,7 @@ from gyrorig_solver.calibration.calibration_wording import (
     white_noise_units,
 )
 from gyrorig_solver.calibration.uncertainty_wording import contribution_name, main_contribution
-from gyrorig_solver.model.parameter_units import (
+from gyrorig_solver.model import (
     DEG_PER_RAD,
     PARAMETER_GROUPS,
     ParameterGroup,

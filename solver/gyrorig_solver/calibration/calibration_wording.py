@@ -9,14 +9,14 @@ import math
 from collections.abc import Sequence
 
 from gyrorig_solver.calibration.calibration_document import CalibrationDocument, Parameter
-from gyrorig_solver.model.catalogue import catalogue
-from gyrorig_solver.model.parameter_units import (
+from gyrorig_solver.model import (
     PARAMETER_GROUPS,
     ParameterGroup,
     display_unit,
     format_quantity,
     format_short,
 )
+from gyrorig_solver.model.catalogue import catalogue
 
 VERDICT_TITLES = {"good": "Good", "limited": "Limited", "refused": "Refused"}
 REDUCED_CHI2_LIMIT = 1.25  # above it a fit to a motion is limited, see `estimate.motion_fit`

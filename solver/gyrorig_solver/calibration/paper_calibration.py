@@ -26,11 +26,12 @@ from gyrorig_solver.calibration.calibration_document import (
     Units,
     Validity,
 )
-from gyrorig_solver.data.arrays import BoolArray, FloatArray
+from gyrorig_solver.data import BoolArray, FloatArray
 from gyrorig_solver.data.samples import GyroSamples
-from gyrorig_solver.estimate.paper.paper_method import FAILURES, PaperResult, calibrate_as_printed
+from gyrorig_solver.estimate import calibrate_as_printed
+from gyrorig_solver.estimate.paper.paper_method import FAILURES, PaperResult
 from gyrorig_solver.model.gain_matrix import rotation_vector
-from gyrorig_solver.reference.unit.pan_tilt_recording import UNUSABLE_STATUS
+from gyrorig_solver.reference import UNUSABLE_STATUS
 
 _EXACT = 1e-9  # tolerance of S T M = STM and of M being a rotation, as in the schema
 

@@ -23,13 +23,8 @@ from gyrorig_solver.calibration.calibration_document import (
 )
 from gyrorig_solver.calibration.calibration_wording import value_std_pairs
 from gyrorig_solver.calibration.uncertainty_wording import contribution_name, main_contribution
-from gyrorig_solver.discover.calibration_changes import CALIBRATION_PARAMETERS
-from gyrorig_solver.model.parameter_units import (
-    PARAMETER_GROUPS,
-    format_short,
-    group_of,
-    parameter_label,
-)
+from gyrorig_solver.discover import CALIBRATION_PARAMETERS
+from gyrorig_solver.model import PARAMETER_GROUPS, format_short, group_of, parameter_label
 from gyrorig_solver.uncertainty import UncertaintyBudget
 from gyrorig_solver.uncertainty.uncertainty_budget import BudgetEntry
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from gyrorig_protocol.documents import dump_yaml, parse_result_document
 from gyrorig_protocol.errors import InputError
-from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.data import FloatArray
 from gyrorig_solver.uncertainty import UncertaintySettings, UnitPosterior
 from gyrorig_solver.uncertainty.unit_values import (
     table_covariance,

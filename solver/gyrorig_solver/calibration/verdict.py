@@ -5,8 +5,8 @@ from typing import Literal
 
 from gyrorig_protocol.profile import SensorProfile
 from gyrorig_solver.calibration.calibration_document import Trust
-from gyrorig_solver.estimate.gyro_fit import GyroFit
-from gyrorig_solver.model.parameter_units import DEG_PER_RAD, plural
+from gyrorig_solver.estimate import GyroFit
+from gyrorig_solver.model import DEG_PER_RAD, plural
 
 _REFUSED_CHI2 = 25.0  # above it, the standard uncertainties are meaningless
 _LOST_SHARE = 0.02  # of the samples; fewer gaps only reduce the precision

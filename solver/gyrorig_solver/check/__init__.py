@@ -9,9 +9,14 @@ recording and for the parameters that its motion makes observable;
 from gyrorig_solver.check.health_messages import health_problems, health_verdict
 from gyrorig_solver.check.injected_causes import score_causes
 from gyrorig_solver.check.recording_health import RecordingHealth, examine_recording
-from gyrorig_solver.check.true_values import compare_calibrations, compare_with_truth
+from gyrorig_solver.check.true_values import (
+    ParameterComparison,
+    compare_calibrations,
+    compare_with_truth,
+)
 
 __all__ = [
+    "ParameterComparison",
     "RecordingHealth",
     "compare_calibrations",
     "compare_with_truth",

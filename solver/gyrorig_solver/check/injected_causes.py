@@ -11,9 +11,7 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 from gyrorig_protocol.errors import InputError
-from gyrorig_solver.findings import FindingsDocument
-from gyrorig_solver.findings.findings_document import CauseEntry
-from gyrorig_solver.findings.findings_wording import amount_text, place_text
+from gyrorig_solver.findings import CauseEntry, FindingsDocument, amount_text, place_text
 
 # right: named. among: in a set of named alternatives. unseen: reported as too small or not
 # testable. missed: it should have been named. wrong: named, but not injected.

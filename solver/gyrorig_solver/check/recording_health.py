@@ -16,20 +16,19 @@ from gyrorig_protocol.identity import BoardId
 from gyrorig_protocol.recording.mcap.losses import Loss
 from gyrorig_protocol.recording.messages import EventKind, PtuStatus, imu_raw_topic
 from gyrorig_protocol.recording.recording import Recording, times_ns
-from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.data import FloatArray
 from gyrorig_solver.data.samples import GyroSamples, load_samples
-from gyrorig_solver.estimate.derived_parameters import derive_parameters
-from gyrorig_solver.estimate.gyro_fit import ObservabilityReport
-from gyrorig_solver.estimate.information import PARAMETER_NAMES, white_noise_information
-from gyrorig_solver.estimate.observability import analyse_observability
-from gyrorig_solver.estimate.observability_remedies import UNIT_REMEDIES
-from gyrorig_solver.estimate.typical_board import expected_estimate
-from gyrorig_solver.pipeline import solve_recordings
-from gyrorig_solver.reference.reference_motion import ReferenceMotion
-from gyrorig_solver.reference.unit.pan_tilt_recording import (
-    UNUSABLE_STATUS,
-    read_pan_tilt_reference,
+from gyrorig_solver.estimate import (
+    PARAMETER_NAMES,
+    UNIT_REMEDIES,
+    ObservabilityReport,
+    analyse_observability,
+    derive_parameters,
+    expected_estimate,
+    white_noise_information,
 )
+from gyrorig_solver.pipeline import solve_recordings
+from gyrorig_solver.reference import UNUSABLE_STATUS, ReferenceMotion, read_pan_tilt_reference
 
 _GRID_HZ = 50.0  # motions of a unit change within tenths of a second
 _MAX_GRID_POINTS = 200_000

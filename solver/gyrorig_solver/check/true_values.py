@@ -12,15 +12,10 @@ from typing import Any
 import numpy as np
 
 from gyrorig_protocol.errors import InputError
-from gyrorig_solver.calibration.calibration_document import CalibrationDocument
+from gyrorig_solver.calibration import CalibrationDocument
 from gyrorig_solver.calibration.calibration_wording import value_std_pairs
-from gyrorig_solver.data.arrays import FloatArray
-from gyrorig_solver.model.gain_matrix import factorise
-from gyrorig_solver.model.parameter_units import (
-    PARAMETER_GROUPS,
-    ParameterGroup,
-    parameter_label,
-)
+from gyrorig_solver.data import FloatArray
+from gyrorig_solver.model import PARAMETER_GROUPS, ParameterGroup, factorise, parameter_label
 
 
 @dataclass(frozen=True, slots=True)

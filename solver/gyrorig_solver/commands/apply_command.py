@@ -8,7 +8,7 @@ from typing import Any
 import click
 
 from gyrorig_protocol.errors import UsageError
-from gyrorig_solver.apply import Calibration, Frame
+from gyrorig_solver.apply import FRAMES, Calibration, Frame
 from gyrorig_solver.apply.board_calibration import READING_UNITS, ReadingUnit
 from gyrorig_solver.apply.corrected_table import (
     RATE_COLUMNS,
@@ -16,7 +16,7 @@ from gyrorig_solver.apply.corrected_table import (
     TableColumns,
     apply_to_table,
 )
-from gyrorig_solver.apply.correction import FRAMES, LAG_NOTE
+from gyrorig_solver.apply.correction import LAG_NOTE
 from gyrorig_solver.commands.terminal import Terminal, json_option, output_option
 
 _RECORDING_SUFFIXES = (".mcap", ".part")

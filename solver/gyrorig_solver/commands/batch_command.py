@@ -13,12 +13,12 @@ import click
 from gyrorig_protocol.errors import UsageError
 from gyrorig_solver.commands.terminal import PARTIAL, Terminal, json_option, version_text
 from gyrorig_solver.commands.unit_prior_option import read_unit_knowledge, unit_prior_option
-from gyrorig_solver.fleet.jobs.batch_run import BatchSummary, Shard, run_batch
-from gyrorig_solver.fleet.jobs.session_job import SolveSettings
-from gyrorig_solver.fleet.jobs.workers import WorkerPool, local_pools
-from gyrorig_solver.fleet.store.manifest import read_signer
-from gyrorig_solver.model.parameter_units import plural
-from gyrorig_solver.pipeline.criticised_fit import AUTO
+from gyrorig_solver.fleet.jobs import BatchSummary, SolveSettings, local_pools, run_batch
+from gyrorig_solver.fleet.jobs.batch_run import Shard
+from gyrorig_solver.fleet.jobs.workers import WorkerPool
+from gyrorig_solver.fleet.store import read_signer
+from gyrorig_solver.model import plural
+from gyrorig_solver.pipeline import AUTO
 from gyrorig_solver.storage import Folder, Storage, StorageOption
 
 _REASONS_SHOWN = 10

@@ -11,14 +11,11 @@ from gyrorig_protocol.errors import InputError
 from gyrorig_protocol.file_kinds import describe_schema
 from gyrorig_solver.apply import read_calibration
 from gyrorig_solver.apply.calibration_file import read_document
-from gyrorig_solver.calibration.calibration_document import (
-    SCHEMA,
-    CalibrationDocument,
-)
-from gyrorig_solver.check import compare_calibrations, compare_with_truth
-from gyrorig_solver.check.true_values import ParameterComparison
+from gyrorig_solver.calibration import CalibrationDocument
+from gyrorig_solver.calibration.calibration_document import SCHEMA
+from gyrorig_solver.check import ParameterComparison, compare_calibrations, compare_with_truth
 from gyrorig_solver.commands.terminal import NOT_IDENTIFIABLE, Terminal, format_table, json_option
-from gyrorig_solver.model.parameter_units import format_quantity
+from gyrorig_solver.model import format_quantity
 
 USUAL_SIGMA = 2.0  # standard uncertainties; 95 % of differences are smaller
 WRONG_BEYOND_SIGMA = 3.5  # 13 right values exceed it in 6 of 1000 comparisons

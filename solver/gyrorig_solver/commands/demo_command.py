@@ -20,10 +20,14 @@ from gyrorig_protocol.errors import GyrorigError, InputError, MachineError
 from gyrorig_protocol.identity import BoardId
 from gyrorig_protocol.recording.reader import read_recording
 from gyrorig_protocol.recording.recording import Recording
-from gyrorig_solver.calibration.calibration_store import CalibrationStore
-from gyrorig_solver.check import compare_with_truth, examine_recording, score_causes
+from gyrorig_solver.calibration import CalibrationStore
+from gyrorig_solver.check import (
+    ParameterComparison,
+    compare_with_truth,
+    examine_recording,
+    score_causes,
+)
 from gyrorig_solver.check.injected_causes import ScoredCause, score_text, verify_commitment
-from gyrorig_solver.check.true_values import ParameterComparison
 from gyrorig_solver.commands.check_command import health_text
 from gyrorig_solver.commands.compare_command import (
     WRONG_BEYOND_SIGMA,

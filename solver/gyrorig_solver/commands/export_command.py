@@ -5,8 +5,7 @@ from pathlib import Path
 import click
 
 from gyrorig_protocol.errors import UsageError
-from gyrorig_solver.apply import Frame, read_calibration
-from gyrorig_solver.apply.correction import FRAMES
+from gyrorig_solver.apply import FRAMES, Frame, read_calibration
 from gyrorig_solver.commands.terminal import Terminal, json_option, output_option
 from gyrorig_solver.export import FORMATS, ExportOptions, ExportSource, export_text
 from gyrorig_solver.storage import write_file

@@ -6,19 +6,19 @@ from typing import Any
 import click
 
 from gyrorig_solver.commands.terminal import Terminal, json_option
-from gyrorig_solver.fleet.drift.common_offsets import OffsetComparison, describe_offsets
-from gyrorig_solver.fleet.drift.fleet_overview import (
+from gyrorig_solver.fleet.drift import (
     PARAMETER_COLUMNS,
     FleetOverview,
+    OffsetComparison,
     build_overview,
-    read_origins,
+    describe_offsets,
+    groups_as_json,
 )
-from gyrorig_solver.fleet.drift.group_statistics import groups_as_json
+from gyrorig_solver.fleet.drift.fleet_overview import read_origins
 from gyrorig_solver.fleet.drift.shrinkage_files import write_shrinkage_estimates
-from gyrorig_solver.fleet.page.alerts import Alert, fleet_alerts
-from gyrorig_solver.fleet.page.fleet_page import write_fleet_page
-from gyrorig_solver.fleet.store.store_queries import open_existing_store
-from gyrorig_solver.model.parameter_units import plural
+from gyrorig_solver.fleet.page import Alert, fleet_alerts, write_fleet_page
+from gyrorig_solver.fleet.store import open_existing_store
+from gyrorig_solver.model import plural
 from gyrorig_solver.storage import Storage, StorageOption
 
 _ALERTS_SHOWN = 15

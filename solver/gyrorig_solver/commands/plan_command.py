@@ -13,11 +13,11 @@ from gyrorig_protocol.errors import UsageError
 from gyrorig_protocol.profile import SensorProfile, parse_profile
 from gyrorig_protocol.program import MotionProgram, parse_program
 from gyrorig_protocol.suggestions import did_you_mean
-from gyrorig_solver.calibration.sensor_profiles import find_profile
+from gyrorig_solver.calibration import find_profile
 from gyrorig_solver.calibration.unit_document import posterior_of
 from gyrorig_solver.commands.project_files import project_names
 from gyrorig_solver.commands.terminal import NOT_IDENTIFIABLE, Terminal, json_option, output_option
-from gyrorig_solver.pipeline.unit_prior import read_unit_file
+from gyrorig_solver.pipeline import read_unit_file
 from gyrorig_solver.plan import (
     DetectabilityReport,
     PlanResult,

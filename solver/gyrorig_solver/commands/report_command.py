@@ -6,7 +6,7 @@ import click
 
 from gyrorig_protocol.recording.reader import read_recording
 from gyrorig_solver.apply import read_calibration
-from gyrorig_solver.calibration.sensor_profiles import find_profile
+from gyrorig_solver.calibration import find_profile
 from gyrorig_solver.commands.terminal import Terminal, json_option, output_option
 from gyrorig_solver.pipeline.solve_board import rebuild_report_data
 from gyrorig_solver.report import ReportData, render_calibration

@@ -10,8 +10,7 @@ from gyrorig_protocol.errors import GyrorigError, UsageError
 from gyrorig_protocol.identity import BoardId
 from gyrorig_protocol.recording.reader import read_recording
 from gyrorig_protocol.recording.recording import Recording
-from gyrorig_solver.calibration.calibration_document import calibration_as_mapping
-from gyrorig_solver.calibration.calibration_store import CalibrationStore
+from gyrorig_solver.calibration import CalibrationStore, calibration_as_mapping
 from gyrorig_solver.calibration.calibration_summary import calibration_summary
 from gyrorig_solver.commands.board_selection import select_boards
 from gyrorig_solver.commands.terminal import (
@@ -22,9 +21,15 @@ from gyrorig_solver.commands.terminal import (
     json_option,
 )
 from gyrorig_solver.commands.unit_prior_option import read_unit_knowledge, unit_prior_option
-from gyrorig_solver.model.parameter_units import plural
-from gyrorig_solver.pipeline import CriticisedFit, StoredResult, UnitKnowledge, solve_and_store
-from gyrorig_solver.pipeline.criticised_fit import AUTO, fit_together
+from gyrorig_solver.model import plural
+from gyrorig_solver.pipeline import (
+    AUTO,
+    CriticisedFit,
+    StoredResult,
+    UnitKnowledge,
+    fit_together,
+    solve_and_store,
+)
 from gyrorig_solver.storage import Folder
 from gyrorig_solver.uncertainty import UncertaintySettings, read_settings
 

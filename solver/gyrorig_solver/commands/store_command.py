@@ -10,10 +10,7 @@ import click
 
 from gyrorig_protocol.errors import UsageError
 from gyrorig_protocol.identity import BoardId
-from gyrorig_solver.calibration.calibration_document import (
-    CalibrationDocument,
-    calibration_as_mapping,
-)
+from gyrorig_solver.calibration import CalibrationDocument, calibration_as_mapping
 from gyrorig_solver.calibration.calibration_summary import calibration_summary
 from gyrorig_solver.commands.stored_versions import (
     find_version,
@@ -24,17 +21,16 @@ from gyrorig_solver.commands.stored_versions import (
 from gyrorig_solver.commands.terminal import Terminal, json_option
 from gyrorig_solver.fleet.column_units import column_label, column_unit
 from gyrorig_solver.fleet.drift.shrinkage_files import read_shrinkage_estimates
-from gyrorig_solver.fleet.store.manifest import read_public_key, read_signer
+from gyrorig_solver.fleet.store import open_existing_store, read_signer, rebuild_index, verify
+from gyrorig_solver.fleet.store.manifest import read_public_key
 from gyrorig_solver.fleet.store.store_queries import (
     VersionFilter,
     all_versions,
     newest_versions,
-    open_existing_store,
-    rebuild_index,
     unsuccessful_work,
 )
-from gyrorig_solver.fleet.store.store_verification import REMEDIES, verify
-from gyrorig_solver.model.parameter_units import format_quantity, plural
+from gyrorig_solver.fleet.store.store_verification import REMEDIES
+from gyrorig_solver.model import format_quantity, plural
 from gyrorig_solver.storage import Storage, StorageOption
 
 _DAMAGED_STATUS = 3

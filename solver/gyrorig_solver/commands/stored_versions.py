@@ -11,13 +11,10 @@ from typing import Any
 
 from gyrorig_protocol.errors import InputError
 from gyrorig_protocol.identity import BoardId
-from gyrorig_solver.calibration.calibration_document import CalibrationDocument, parse_calibration
-from gyrorig_solver.calibration.calibration_store import StoredVersion
-from gyrorig_solver.fleet.store.index_rows import parameter_columns, parameter_values
-from gyrorig_solver.fleet.store.store_queries import (
-    open_existing_store,
-    versions_by_measurement_time,
-)
+from gyrorig_solver.calibration import CalibrationDocument, StoredVersion, parse_calibration
+from gyrorig_solver.fleet.store import open_existing_store, parameter_columns
+from gyrorig_solver.fleet.store.index_rows import parameter_values
+from gyrorig_solver.fleet.store.store_queries import versions_by_measurement_time
 from gyrorig_solver.storage import Storage
 
 

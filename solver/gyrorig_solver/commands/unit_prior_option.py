@@ -5,8 +5,7 @@ from pathlib import Path
 import click
 
 from gyrorig_solver.calibration.unit_store import UnitStore
-from gyrorig_solver.pipeline import UnitKnowledge
-from gyrorig_solver.pipeline.unit_prior import read_unit_file
+from gyrorig_solver.pipeline import UnitKnowledge, read_unit_file
 from gyrorig_solver.storage import Storage
 
 FROM_STORE, NO_PRIOR = "stored", "none"

@@ -5,3 +5,26 @@ several boards on one unit, `attitude.explain_attitudes` with reference attitude
 what differs between references; the search itself is `cause_search`; `checks` has the checks of its
 result; `cause_findings` the result types.
 """
+
+from gyrorig_solver.discover.boards.joint_explanation import explain_jointly
+from gyrorig_solver.discover.calibration_changes import CALIBRATION_PARAMETERS
+from gyrorig_solver.discover.cause_findings import (
+    CauseFindings,
+    FitExplanation,
+    HeldOutGain,
+    NamedCause,
+)
+from gyrorig_solver.discover.fit_criticism import FitCriticism, criticise_fit
+from gyrorig_solver.discover.fit_explanation import explain_fit
+
+__all__ = [
+    "CALIBRATION_PARAMETERS",
+    "CauseFindings",
+    "FitCriticism",
+    "FitExplanation",
+    "HeldOutGain",
+    "NamedCause",
+    "criticise_fit",
+    "explain_fit",
+    "explain_jointly",
+]

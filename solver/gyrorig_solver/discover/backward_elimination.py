@@ -13,9 +13,8 @@ from dataclasses import dataclass
 from typing import Generic
 
 from gyrorig_solver.discover.fit_space import Space
-from gyrorig_solver.estimate.fitted_term import FittedTerm
-from gyrorig_solver.model.recording_scope import term_label
-from gyrorig_solver.model.term import value_indices
+from gyrorig_solver.estimate import FittedTerm
+from gyrorig_solver.model import term_label, value_indices
 from gyrorig_solver.numerics import chi2_upper_tail
 
 # If the fit without a cause is clearly worse after this many evaluations, the cause is kept.

@@ -9,17 +9,17 @@ from typing import Self
 
 import numpy as np
 
-from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.data import FloatArray
 from gyrorig_solver.discover.cause_findings import CalibrationChange
-from gyrorig_solver.estimate.converged_fit import ConvergedFit
-from gyrorig_solver.estimate.factor_covariance import propagate_to_factors
-from gyrorig_solver.estimate.observability import BIAS_NAMES
-from gyrorig_solver.estimate.parameter_layout import (
+from gyrorig_solver.estimate import (
     GAIN_PARAMETERS,
     SESSION_PARAMETERS,
-    ParameterLayout,
+    ConvergedFit,
+    propagate_to_factors,
 )
-from gyrorig_solver.model.gain_matrix import FACTOR_NAMES
+from gyrorig_solver.estimate.observability import BIAS_NAMES
+from gyrorig_solver.estimate.parameter_layout import ParameterLayout
+from gyrorig_solver.model import FACTOR_NAMES
 
 CALIBRATION_PARAMETERS = (*FACTOR_NAMES, *BIAS_NAMES, "time_offset")
 CALIBRATION_UNITS = ("1",) * 6 + ("rad",) * 3 + ("rad/s",) * 3 + ("s",)

@@ -11,11 +11,9 @@ from gyrorig_solver.discover.exact_fit import FittedCandidate, fit_candidate
 from gyrorig_solver.discover.score_tests import CandidateScore, scan_catalogue, testable_places
 from gyrorig_solver.discover.template_choice import all_templates
 from gyrorig_solver.discover.testable_terms import testable_instances
-from gyrorig_solver.estimate.fitted_term import FittedTerm
-from gyrorig_solver.estimate.nuisance_projector import NuisanceProjector
+from gyrorig_solver.estimate import FittedTerm, NuisanceProjector
+from gyrorig_solver.model import Term, recording_index_of, term_label, value_indices
 from gyrorig_solver.model.catalogue import catalogue
-from gyrorig_solver.model.recording_scope import recording_index_of, term_label
-from gyrorig_solver.model.term import Term, value_indices
 from gyrorig_solver.numerics import chi2_upper_tail
 
 MAX_CANDIDATES = 4  # fitted exactly at a time

@@ -14,13 +14,16 @@ from functools import cached_property
 
 import numpy as np
 
-from gyrorig_solver.data.arrays import BoolArray, FloatArray, IntArray
+from gyrorig_solver.data import BoolArray, FloatArray, IntArray
 from gyrorig_solver.discover.score_tests import ScoreTest
-from gyrorig_solver.estimate.nuisance_projector import NuisanceProjector
-from gyrorig_solver.estimate.whitened_signals import WhitenedSignals
-from gyrorig_solver.model.recording_context import RecordingContext
-from gyrorig_solver.model.recording_scope import is_active_in
-from gyrorig_solver.model.term import Term, value_indices, value_parameters
+from gyrorig_solver.estimate import NuisanceProjector, WhitenedSignals
+from gyrorig_solver.model import (
+    RecordingContext,
+    Term,
+    is_active_in,
+    value_indices,
+    value_parameters,
+)
 
 MIN_STEP_GAIN_NATS = 1e-2  # nats won by a step: less is no reason for another
 MIN_PREDICTED_GAIN_NATS = 1e-4  # nats that a step promises: a hundredth of a deviation, negligible

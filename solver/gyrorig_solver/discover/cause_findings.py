@@ -7,10 +7,9 @@ fits, for figures and for the calibration.
 from dataclasses import dataclass
 from typing import Literal
 
-from gyrorig_solver.data.arrays import FloatArray
-from gyrorig_solver.estimate.converged_fit import ConvergedFit
-from gyrorig_solver.estimate.fitted_term import FittedTerm
-from gyrorig_solver.model.term import Part, Term
+from gyrorig_solver.data import FloatArray
+from gyrorig_solver.estimate import ConvergedFit, FittedTerm
+from gyrorig_solver.model import Part, Term
 
 # adequate: the base model leaves nothing but noise. explained: it did not, the named causes
 # account for all of it. unexplained: structure remains that no known cause explains.

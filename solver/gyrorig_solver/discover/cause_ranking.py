@@ -9,15 +9,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.data import FloatArray
 from gyrorig_solver.discover.candidate_fits import fit_leading, fitted_place
 from gyrorig_solver.discover.cause_findings import RivalCause
 from gyrorig_solver.discover.exact_fit import FittedCandidate, fit_candidate
 from gyrorig_solver.discover.extended_fit import extend_fit
 from gyrorig_solver.discover.fit_space import FitSpace, Space
 from gyrorig_solver.discover.score_tests import scan_catalogue
-from gyrorig_solver.model.recording_scope import recording_index_of, term_label
-from gyrorig_solver.model.term import Term
+from gyrorig_solver.model import Term, recording_index_of, term_label
 
 CREDIBLE_SET_LEVEL = 0.95  # belief that the stated set holds the cause
 MAX_SWAPS = 4  # times that named causes may lose their place in the end

@@ -25,8 +25,8 @@ from gyrorig_solver.discover.held_out_gain import cross_validate_causes
 from gyrorig_solver.discover.model_evidence import best_model
 from gyrorig_solver.discover.score_tests import CandidateScore, scan_catalogue
 from gyrorig_solver.discover.testable_terms import FALSE_ALARM_RATE, count_tests, select_testable
-from gyrorig_solver.estimate.nuisance_projector import NuisanceProjector
-from gyrorig_solver.model.recording_scope import term_label
+from gyrorig_solver.estimate import NuisanceProjector
+from gyrorig_solver.model import term_label
 
 MAX_CAUSES = 12
 # Of causes that are significant with typical noise levels only: the bias has a random walk.

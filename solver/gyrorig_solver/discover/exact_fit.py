@@ -14,17 +14,16 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.data import FloatArray
 from gyrorig_solver.discover.candidate_objective import (
     MIN_STEP_GAIN_NATS,
     PERSISTENT_STAGES,
     CandidateObjective,
     LocalExpansion,
 )
-from gyrorig_solver.estimate.fitted_term import FittedTerm
-from gyrorig_solver.estimate.nuisance_projector import NuisanceProjector
+from gyrorig_solver.estimate import FittedTerm, NuisanceProjector
+from gyrorig_solver.model import Term, value_indices
 from gyrorig_solver.model.causes.supply_hum import MIN_PERIODS, folded_periods
-from gyrorig_solver.model.term import Term, value_indices
 
 WHOLE_COUNT_SIGMA = 4.0  # deviations
 MAX_OUTSIDE_GAIN_NATS = 2.0  # won by leaving what is possible, two deviations: it is something else

@@ -19,21 +19,29 @@ from dataclasses import replace
 
 import numpy as np
 
-from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.data import FloatArray
 from gyrorig_solver.discover.candidate_fits import fitted_place
 from gyrorig_solver.discover.checks.typical_noise import whittle_log_likelihood
 from gyrorig_solver.discover.exact_fit import FittedCandidate, fit_candidate
 from gyrorig_solver.discover.fit_space import Space
 from gyrorig_solver.discover.score_tests import ScoreTest
+from gyrorig_solver.estimate import (
+    GAIN_PARAMETERS,
+    ConvergedFit,
+    FittedTerm,
+    NuisanceProjector,
+    refit_with_terms,
+)
 from gyrorig_solver.estimate.cascade import CLIPPING_STAGES
-from gyrorig_solver.estimate.converged_fit import ConvergedFit
-from gyrorig_solver.estimate.fitted_term import FittedTerm
-from gyrorig_solver.estimate.likelihood_fit import refit_with_terms
-from gyrorig_solver.estimate.nuisance_projector import NuisanceProjector
-from gyrorig_solver.estimate.parameter_layout import GAIN_PARAMETERS
-from gyrorig_solver.model.signal_state import SignalState
-from gyrorig_solver.model.term import Part, Stage, TermParameter, value_indices, value_parameters
-from gyrorig_solver.model.term_kinds import LinearTerm
+from gyrorig_solver.model import (
+    LinearTerm,
+    Part,
+    SignalState,
+    Stage,
+    TermParameter,
+    value_indices,
+    value_parameters,
+)
 
 MAX_RESTARTS = 2  # each from where the last one ended
 # Deviations of the statistic's scatter above its mean: then the residual asks for it.

@@ -15,10 +15,9 @@ from gyrorig_solver.discover.checks.model_check import DEPENDENCE_FALSE_ALARM_RA
 from gyrorig_solver.discover.fit_space import FitSpace
 from gyrorig_solver.discover.score_tests import CandidateScore, scan_catalogue
 from gyrorig_solver.discover.testable_terms import FALSE_ALARM_RATE, count_tests, select_testable
-from gyrorig_solver.estimate.gyro_fit import GyroFit
-from gyrorig_solver.estimate.nuisance_projector import NuisanceProjector
+from gyrorig_solver.estimate import GyroFit, NuisanceProjector
+from gyrorig_solver.model import term_label
 from gyrorig_solver.model.catalogue import catalogue
-from gyrorig_solver.model.recording_scope import term_label
 
 LISTED_CAUSES = 3
 

@@ -37,12 +37,18 @@ from gyrorig_solver.discover.held_out_gain import cross_validate_causes
 from gyrorig_solver.discover.motion_space import MotionFitSpace
 from gyrorig_solver.discover.named_causes import name_cause
 from gyrorig_solver.discover.score_tests import CandidateScore
-from gyrorig_solver.estimate.converged_fit import ConvergedFit
-from gyrorig_solver.estimate.noise.noise_model import nominal_levels
-from gyrorig_solver.estimate.nuisance_projector import NuisanceProjector
-from gyrorig_solver.model.recording_scope import recording_index_of, term_label
-from gyrorig_solver.model.term import Term, components_of, value_indices, value_parameters
-from gyrorig_solver.model.value_format import DEG, XYZ, format_list
+from gyrorig_solver.estimate import ConvergedFit, NuisanceProjector, nominal_levels
+from gyrorig_solver.model import (
+    DEG,
+    XYZ,
+    Term,
+    components_of,
+    format_list,
+    recording_index_of,
+    term_label,
+    value_indices,
+    value_parameters,
+)
 
 MOTION_CHECKS: tuple[Check[MotionFitSpace], ...] = (
     SpecificationCheck(),

@@ -16,12 +16,14 @@ from typing import Self, TypeVar
 from gyrorig_solver.discover.calibration_changes import CalibrationValues
 from gyrorig_solver.discover.cause_findings import DependenceTest
 from gyrorig_solver.discover.exact_fit import FittedCandidate
-from gyrorig_solver.estimate.fitted_term import FittedTerm
-from gyrorig_solver.estimate.likelihood_fit import MAX_EVALUATIONS
-from gyrorig_solver.estimate.nuisance_projector import NuisanceProjector
-from gyrorig_solver.estimate.observability import ObservabilityAnalysis
-from gyrorig_solver.estimate.trust_region import Convergence
-from gyrorig_solver.model.term import Term
+from gyrorig_solver.estimate import (
+    MAX_EVALUATIONS,
+    Convergence,
+    FittedTerm,
+    NuisanceProjector,
+    ObservabilityAnalysis,
+)
+from gyrorig_solver.model import Term
 
 
 @dataclass(frozen=True, slots=True, eq=False)

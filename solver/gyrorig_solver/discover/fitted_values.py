@@ -6,9 +6,9 @@ cause together.
 
 import numpy as np
 
-from gyrorig_solver.data.arrays import FloatArray, IntArray
+from gyrorig_solver.data import FloatArray, IntArray
 from gyrorig_solver.discover.fit_space import FitSpace
-from gyrorig_solver.model.term import value_indices
+from gyrorig_solver.model import value_indices
 from gyrorig_solver.numerics import chi2_upper_tail
 
 

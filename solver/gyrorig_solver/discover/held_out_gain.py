@@ -14,12 +14,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gyrorig_solver.data.arrays import FloatArray, IntArray
+from gyrorig_solver.data import FloatArray, IntArray
 from gyrorig_solver.discover.cause_findings import ConfidenceInterval, HeldOutGain
 from gyrorig_solver.discover.held_out_recording import HeldOutFit, HeldOutRecording
-from gyrorig_solver.estimate.converged_fit import ConvergedFit
-from gyrorig_solver.estimate.nuisance_projector import NuisanceProjector
-from gyrorig_solver.estimate.series import Series
+from gyrorig_solver.estimate import ConvergedFit, NuisanceProjector, Series
 from gyrorig_solver.numerics import normal_quantile
 
 WINDOW_S = 10.0

@@ -12,17 +12,19 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gyrorig_solver.data.arrays import FloatArray, IntArray
+from gyrorig_solver.data import FloatArray, IntArray
+from gyrorig_solver.estimate import (
+    BASE_PARAMETERS,
+    GAIN_PARAMETERS,
+    ConvergedFit,
+    FittedTerm,
+    NoiseModel,
+    SessionFit,
+    marginalise,
+    reference_cost,
+)
 from gyrorig_solver.estimate.board_fit import DERIVATIVE_REFRESH_SIGMA, OUTLIER_RETEST_SIGMA
-from gyrorig_solver.estimate.converged_fit import ConvergedFit
-from gyrorig_solver.estimate.executed_motion import reference_cost
-from gyrorig_solver.estimate.fitted_term import FittedTerm
-from gyrorig_solver.estimate.information import marginalise
-from gyrorig_solver.estimate.noise.noise_model import NoiseModel
-from gyrorig_solver.estimate.noise.whitening import BASE_PARAMETERS
 from gyrorig_solver.estimate.observability import PRIOR_STD
-from gyrorig_solver.estimate.parameter_layout import GAIN_PARAMETERS
-from gyrorig_solver.estimate.session_fit import SessionFit
 from gyrorig_solver.estimate.session_noise import fit_session_noise
 from gyrorig_solver.estimate.trust_region import CONVERGED_SIGMA
 

@@ -14,7 +14,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from gyrorig_solver.discover.fit_space import FitSpace, Space
-from gyrorig_solver.model.term import value_indices, value_parameters
+from gyrorig_solver.model import value_indices, value_parameters
 
 # A visited model replaces the last one only if noise does not explain its lead, and so that a
 # cause that was removed as insignificant does not return.

@@ -9,7 +9,7 @@ from typing import Self
 
 import numpy as np
 
-from gyrorig_solver.data.arrays import BoolArray
+from gyrorig_solver.data import BoolArray
 from gyrorig_solver.discover.calibration_changes import CalibrationValues
 from gyrorig_solver.discover.candidate_fits import global_p_value
 from gyrorig_solver.discover.cause_findings import DependenceTest
@@ -26,15 +26,18 @@ from gyrorig_solver.discover.exact_fit import FittedCandidate, fit_candidate
 from gyrorig_solver.discover.extended_fit import refit_gain_exactly
 from gyrorig_solver.discover.fit_space import FitSpace, NoiseAlternative
 from gyrorig_solver.discover.ramp_acceleration import candidate_from_replies
-from gyrorig_solver.estimate.converged_fit import ConvergedFit
-from gyrorig_solver.estimate.executed_motion import reference_cost
+from gyrorig_solver.estimate import (
+    MAX_EVALUATIONS,
+    ConvergedFit,
+    FittedTerm,
+    NoiseModel,
+    NuisanceProjector,
+    reference_cost,
+    refit_with_terms,
+)
 from gyrorig_solver.estimate.fit_objective import residual_cost
 from gyrorig_solver.estimate.fit_segments import negative_log_likelihood
 from gyrorig_solver.estimate.fit_summary import BASE_TERMS
-from gyrorig_solver.estimate.fitted_term import FittedTerm
-from gyrorig_solver.estimate.likelihood_fit import MAX_EVALUATIONS, refit_with_terms
-from gyrorig_solver.estimate.noise.noise_model import NoiseModel
-from gyrorig_solver.estimate.nuisance_projector import NuisanceProjector
 from gyrorig_solver.estimate.uncertainty_widening import reduced_chi2
 from gyrorig_solver.model.catalogue import catalogue
 

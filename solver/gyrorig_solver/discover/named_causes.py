@@ -8,7 +8,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.data import FloatArray
 from gyrorig_solver.discover.calibration_changes import CalibrationValues, last_recording_part
 from gyrorig_solver.discover.candidate_fits import global_p_value
 from gyrorig_solver.discover.cause_findings import (
@@ -20,11 +20,11 @@ from gyrorig_solver.discover.cause_findings import (
 from gyrorig_solver.discover.cause_ranking import RankedCause
 from gyrorig_solver.discover.fit_space import FitSpace
 from gyrorig_solver.discover.fitted_values import value_stds
-from gyrorig_solver.estimate.fitted_term import FittedTerm
-from gyrorig_solver.model.recording_scope import recording_index_of
-from gyrorig_solver.model.term import (
+from gyrorig_solver.estimate import FittedTerm
+from gyrorig_solver.model import (
     Term,
     components_of,
+    recording_index_of,
     value_indices,
     value_names,
     value_parameters,

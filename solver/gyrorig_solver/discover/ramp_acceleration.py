@@ -13,20 +13,19 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.data import FloatArray
 from gyrorig_solver.discover.cause_findings import DetectionLimit, NamedCause
 from gyrorig_solver.discover.cause_ranking import CREDIBLE_SET_LEVEL
 from gyrorig_solver.discover.exact_fit import FittedCandidate
 from gyrorig_solver.discover.named_causes import ACTING_SIGMA, name_outside_fit
-from gyrorig_solver.estimate.converged_fit import ConvergedFit
-from gyrorig_solver.estimate.fitted_term import FittedTerm
+from gyrorig_solver.estimate import ConvergedFit, FittedTerm
+from gyrorig_solver.model import value_parameters
 from gyrorig_solver.model.causes.acceleration_error import AccelerationError
 from gyrorig_solver.model.causes.base_speed_jump import BaseSpeedJump
-from gyrorig_solver.model.term import value_parameters
 from gyrorig_solver.model.value_format import PAN_TILT
 from gyrorig_solver.numerics import chi2_upper_tail, normal_quantile
+from gyrorig_solver.reference import PanTiltReference
 from gyrorig_solver.reference.unit.law_fit import compare_base_speeds
-from gyrorig_solver.reference.unit.pan_tilt_reference import PanTiltReference
 
 ACCELERATION_ERROR = AccelerationError.cause
 DETECTION_POWER = 0.8  # of what is called detectable

@@ -14,14 +14,11 @@ from functools import partial
 
 import numpy as np
 
-from gyrorig_solver.data.arrays import FloatArray, IntArray
+from gyrorig_solver.data import FloatArray, IntArray
 from gyrorig_solver.discover.template_choice import quick_templates
-from gyrorig_solver.estimate.nuisance_projector import NuisanceProjector
-from gyrorig_solver.estimate.nuisance_space import ScoreStatistics
-from gyrorig_solver.model.signal_state import SignalState
-from gyrorig_solver.model.term import Term, components_of, value_indices, value_parameters
-from gyrorig_solver.numerics import chi2_upper_tail
-from gyrorig_solver.numerics.distributions import detection_noncentrality
+from gyrorig_solver.estimate import NuisanceProjector, ScoreStatistics
+from gyrorig_solver.model import SignalState, Term, components_of, value_indices, value_parameters
+from gyrorig_solver.numerics import chi2_upper_tail, detection_noncentrality
 
 NEGLIGIBLE_ENERGY = 1e-9  # of its energy: a signal with less left is the fit's own
 MAX_JOINT_SIGNALS = (

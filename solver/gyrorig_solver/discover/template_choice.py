@@ -6,12 +6,11 @@ Lost steps are short and spectral lines narrow: their templates are taken at pea
 
 import numpy as np
 
-from gyrorig_solver.data.arrays import FloatArray
-from gyrorig_solver.estimate.nuisance_projector import NuisanceProjector
+from gyrorig_solver.data import FloatArray
+from gyrorig_solver.estimate import NuisanceProjector
+from gyrorig_solver.model import Term, is_active_in, start_values, value_indices
 from gyrorig_solver.model.causes.lost_steps import pulse_templates
 from gyrorig_solver.model.causes.supply_hum import MIN_PERIODS, folded_periods
-from gyrorig_solver.model.recording_scope import is_active_in
-from gyrorig_solver.model.term import Term, start_values, value_indices
 
 QUICK_TEMPLATES = 20  # rows to a cause in the pass over all
 MAX_PEAKS = 12  # of the moments or lines that a residual shows

@@ -7,10 +7,9 @@ What to use when: `testable_terms` for the catalogue, `select_testable` for othe
 from collections.abc import Iterable, Sequence
 
 from gyrorig_solver.discover.score_tests import testable_places
-from gyrorig_solver.estimate.nuisance_projector import NuisanceProjector
+from gyrorig_solver.estimate import NuisanceProjector
+from gyrorig_solver.model import Term, limit_to_recording
 from gyrorig_solver.model.catalogue import catalogue
-from gyrorig_solver.model.recording_scope import limit_to_recording
-from gyrorig_solver.model.term import Term
 
 # Share of recordings without any cause that may get a name. The tests overlap: 157 such
 # recordings had three quarters of the false names that their sum allows. A little is left to

@@ -13,3 +13,104 @@ What to use when:
 - `noise` for the noise model and outliers, `linear` for the normal equations, `paper` for the
   method of the paper.
 """
+
+from gyrorig_solver.estimate.attitude.attitude_fit import fit_attitude
+from gyrorig_solver.estimate.cascade import total_effect
+from gyrorig_solver.estimate.converged_fit import ConvergedFit
+from gyrorig_solver.estimate.derived_parameters import derive_parameters
+from gyrorig_solver.estimate.executed_motion import reference_cost
+from gyrorig_solver.estimate.factor_covariance import propagate_to_factors
+from gyrorig_solver.estimate.fitted_term import FittedTerm
+from gyrorig_solver.estimate.gravity_fit import fit_gravity
+from gyrorig_solver.estimate.gyro_fit import (
+    NO_SHARING,
+    BoardSharing,
+    ClockQuality,
+    FitDiagnostics,
+    GyroFit,
+    ObservabilityReport,
+)
+from gyrorig_solver.estimate.information import (
+    PARAMETER_NAMES,
+    marginalise,
+    white_noise_information,
+)
+from gyrorig_solver.estimate.likelihood_fit import MAX_EVALUATIONS, fit_likelihood, refit_with_terms
+from gyrorig_solver.estimate.linear.whitening import BASE_PARAMETERS
+from gyrorig_solver.estimate.motion_fit import fit_motion
+from gyrorig_solver.estimate.multi_board_fit import fit_boards_jointly
+from gyrorig_solver.estimate.noise.noise_model import (
+    PRIOR_LOG_STD,
+    NoiseModel,
+    Periodogram,
+    Spectrum,
+    bin_spectrum,
+    nominal_levels,
+    unit_densities,
+)
+from gyrorig_solver.estimate.nuisance_projector import NuisanceProjector, SignalFunction
+from gyrorig_solver.estimate.nuisance_space import ScoreStatistics
+from gyrorig_solver.estimate.observability import ObservabilityAnalysis, analyse_observability
+from gyrorig_solver.estimate.observability_remedies import REST_REMEDIES, UNIT_REMEDIES
+from gyrorig_solver.estimate.paper.paper_method import calibrate_as_printed
+from gyrorig_solver.estimate.parameter_layout import GAIN_PARAMETERS, SESSION_PARAMETERS
+from gyrorig_solver.estimate.series import Series, choose_grids
+from gyrorig_solver.estimate.session_fit import SessionFit
+from gyrorig_solver.estimate.shared_parameters import is_unit_cause
+from gyrorig_solver.estimate.trust_region import Convergence
+from gyrorig_solver.estimate.turn_fit import fit_turns
+from gyrorig_solver.estimate.typical_board import TYPICAL_MOUNT, expected_estimate
+from gyrorig_solver.estimate.whitened_signals import WhitenedSignals, join_signals
+
+__all__ = [
+    "BASE_PARAMETERS",
+    "GAIN_PARAMETERS",
+    "MAX_EVALUATIONS",
+    "NO_SHARING",
+    "PARAMETER_NAMES",
+    "PRIOR_LOG_STD",
+    "REST_REMEDIES",
+    "SESSION_PARAMETERS",
+    "TYPICAL_MOUNT",
+    "UNIT_REMEDIES",
+    "BoardSharing",
+    "ClockQuality",
+    "ConvergedFit",
+    "Convergence",
+    "FitDiagnostics",
+    "FittedTerm",
+    "GyroFit",
+    "NoiseModel",
+    "NuisanceProjector",
+    "ObservabilityAnalysis",
+    "ObservabilityReport",
+    "Periodogram",
+    "ScoreStatistics",
+    "Series",
+    "SessionFit",
+    "SignalFunction",
+    "Spectrum",
+    "WhitenedSignals",
+    "analyse_observability",
+    "bin_spectrum",
+    "calibrate_as_printed",
+    "choose_grids",
+    "derive_parameters",
+    "expected_estimate",
+    "fit_attitude",
+    "fit_boards_jointly",
+    "fit_gravity",
+    "fit_likelihood",
+    "fit_motion",
+    "fit_turns",
+    "is_unit_cause",
+    "join_signals",
+    "marginalise",
+    "nominal_levels",
+    "propagate_to_factors",
+    "reference_cost",
+    "refit_with_terms",
+    "total_effect",
+    "unit_densities",
+    "white_noise_information",
+]

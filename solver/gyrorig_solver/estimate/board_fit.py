@@ -11,7 +11,7 @@ from typing import Self
 
 import numpy as np
 
-from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.data import FloatArray
 from gyrorig_solver.estimate.converged_fit import ConvergedFit
 from gyrorig_solver.estimate.fit_objective import residual_decrease
 from gyrorig_solver.estimate.fitted_term import FittedTerm

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.data import FloatArray
 from gyrorig_solver.estimate.board_fit import BoardFit
 from gyrorig_solver.estimate.converged_fit import ConvergedFit
 from gyrorig_solver.estimate.fitted_term import FittedTerm

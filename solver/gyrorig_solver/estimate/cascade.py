@@ -16,12 +16,17 @@ from functools import cached_property
 
 import numpy as np
 
-from gyrorig_solver.data.arrays import BoolArray, FloatArray
+from gyrorig_solver.data import BoolArray, FloatArray
 from gyrorig_solver.estimate.fitted_term import FittedTerm
-from gyrorig_solver.model.recording_scope import term_label
-from gyrorig_solver.model.signal_arrays import zero_signals
-from gyrorig_solver.model.signal_state import SignalState
-from gyrorig_solver.model.term import FILTER_STAGES, SIGNAL_PATH, Stage, Term, value_parameters
+from gyrorig_solver.model import (
+    SignalState,
+    Stage,
+    Term,
+    term_label,
+    value_parameters,
+    zero_signals,
+)
+from gyrorig_solver.model.term import FILTER_STAGES, SIGNAL_PATH
 
 CLIPPING_STAGES = ("threshold", "limit")  # stages that clip rates
 FILTER_DERIVATIVE_STEP = 1e-3  # of a typical size

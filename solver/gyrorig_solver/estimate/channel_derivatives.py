@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.sparse import csc_array
 
-from gyrorig_solver.data.arrays import FloatArray, IntArray
+from gyrorig_solver.data import FloatArray, IntArray
 from gyrorig_solver.estimate.whitened_signals import WhitenedSignals
 
 PIECE_LENGTH = 512  # values; a piece of all rows fits into a cache

@@ -6,7 +6,7 @@ What to use when: `ConvergedFit` is the result of `likelihood_fit` and `multi_bo
 
 from dataclasses import dataclass
 
-from gyrorig_solver.data.arrays import BoolArray, FloatArray
+from gyrorig_solver.data import BoolArray, FloatArray
 from gyrorig_solver.estimate.fitted_term import FittedTerm
 from gyrorig_solver.estimate.noise.noise_model import NoiseModel, Spectrum
 from gyrorig_solver.estimate.observability import ObservabilityAnalysis

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.data import FloatArray
 from gyrorig_solver.estimate.converged_fit import ConvergedFit
 from gyrorig_solver.estimate.derived_parameters import DerivedParameters, derive_parameters
 from gyrorig_solver.estimate.fit_summary import fitted_parameters

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.data import FloatArray
 from gyrorig_solver.estimate.factor_covariance import is_observable_number, propagate_to_factors
 from gyrorig_solver.estimate.gyro_fit import ObservabilityReport
 from gyrorig_solver.estimate.observability import (
@@ -17,7 +17,7 @@ from gyrorig_solver.estimate.observability import (
     ObservabilityAnalysis,
     prior_std,
 )
-from gyrorig_solver.model.gain_matrix import FACTOR_NAMES
+from gyrorig_solver.model import FACTOR_NAMES
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -14,11 +14,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gyrorig_solver.data.arrays import FloatArray, IntArray
+from gyrorig_solver.data import FloatArray, IntArray
 from gyrorig_solver.estimate.fitted_term import FittedTerm
 from gyrorig_solver.estimate.linear.normal_equations import NormalEquations
 from gyrorig_solver.numerics import ArrowheadMatrix
-from gyrorig_solver.reference.reference_motion import ReferenceMotion
+from gyrorig_solver.reference import PanTiltReference, ReferenceMotion
 from gyrorig_solver.reference.unit.law_information import LawProfile
 from gyrorig_solver.reference.unit.motion_law import (
     LAW_QUANTITIES,
@@ -26,7 +26,6 @@ from gyrorig_solver.reference.unit.motion_law import (
     RECORDED_LAW,
     MotionLaw,
 )
-from gyrorig_solver.reference.unit.pan_tilt_reference import PanTiltReference
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -13,7 +13,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.data import FloatArray
 from gyrorig_solver.estimate.noise.noise_model import NoiseModel, dct_frequencies_hz
 from gyrorig_solver.estimate.noise.relative_std import (
     RelativeStd,

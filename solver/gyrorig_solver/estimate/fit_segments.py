@@ -9,15 +9,15 @@ from dataclasses import replace
 
 import numpy as np
 
-from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.data import FloatArray
 from gyrorig_solver.estimate.cascade import CLIPPING_STAGES, effect_of_removing, pass_through_of
 from gyrorig_solver.estimate.converged_fit import ConvergedFit
 from gyrorig_solver.estimate.executed_motion import reference_cost
 from gyrorig_solver.estimate.fitted_term import FittedTerm
+from gyrorig_solver.estimate.linear.whitening import PartModel
 from gyrorig_solver.estimate.noise.noise_model import NoiseModel
-from gyrorig_solver.estimate.noise.whitening import PartModel
 from gyrorig_solver.estimate.series_segment import SeriesSegment
-from gyrorig_solver.model.signal_state import SignalState
+from gyrorig_solver.model import SignalState
 
 
 def build_segments(

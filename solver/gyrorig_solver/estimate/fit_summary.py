@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.data import FloatArray
 from gyrorig_solver.data.clocks.clock_trace import trace_clock
 from gyrorig_solver.data.count_columns import MAX_CACHED_ROWS
 from gyrorig_solver.data.samples import GyroSamples, mean_temperature_degc
@@ -29,7 +29,7 @@ from gyrorig_solver.estimate.gyro_fit import (
 from gyrorig_solver.estimate.information import PARAMETER_NAMES
 from gyrorig_solver.estimate.observability import ObservabilityAnalysis
 from gyrorig_solver.estimate.rest_to_rest import CrossCheck
-from gyrorig_solver.model.recording_scope import term_label
+from gyrorig_solver.model import term_label
 
 BASE_TERMS = ("bias", "scale", "nonorthogonality", "misalignment")
 MAX_REDUCED_CHI2_LIMITED = 1.25

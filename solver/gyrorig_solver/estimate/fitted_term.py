@@ -10,9 +10,8 @@ from typing import Self
 
 import numpy as np
 
-from gyrorig_solver.data.arrays import FloatArray, IntArray
-from gyrorig_solver.model.recording_scope import value_labels
-from gyrorig_solver.model.term import Term, value_indices, value_parameters
+from gyrorig_solver.data import FloatArray, IntArray
+from gyrorig_solver.model import Term, value_indices, value_labels, value_parameters
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -18,16 +18,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from gyrorig_protocol.errors import InputError
-from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.data import FloatArray
 from gyrorig_solver.data.samples import GyroSamples
 from gyrorig_solver.estimate.fit_summary import FitOutcome, build_gyro_fit
 from gyrorig_solver.estimate.gyro_fit import GravityMoves, GyroFit
 from gyrorig_solver.estimate.information import PARAMETER_NAMES
 from gyrorig_solver.estimate.observability import analyse_observability
-from gyrorig_solver.model.gain_matrix import cross_matrix
-from gyrorig_solver.reference.gravity_reference import StaticPoses, find_poses
-from gyrorig_solver.reference.known_turns import TimeInterval
-from gyrorig_solver.reference.rotations import prefix_products, turn_vectors
+from gyrorig_solver.model import cross_matrix
+from gyrorig_solver.reference import TimeInterval, find_poses, prefix_products, turn_vectors
+from gyrorig_solver.reference.gravity_reference import StaticPoses
 
 MAX_ITERATIONS = 40
 SCALE_RANGE = (0.5, 1.5)  # of the gyro's scale factor, for the initial guess

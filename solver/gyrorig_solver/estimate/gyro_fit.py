@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from gyrorig_solver.data.arrays import BoolArray, FloatArray
+from gyrorig_solver.data import BoolArray, FloatArray
 from gyrorig_solver.data.clocks.clock_trace import ClockTrace
 from gyrorig_solver.estimate.rest_to_rest import CrossCheck
 

@@ -13,21 +13,21 @@ from itertools import chain
 import numpy as np
 from scipy.sparse import diags_array
 
-from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.data import FloatArray
 from gyrorig_solver.estimate.executed_motion import (
     NO_LAW_COLUMNS,
     LawColumns,
     follow_replies,
 )
 from gyrorig_solver.estimate.linear.normal_equations import NormalEquations, NormalEquationsSum
+from gyrorig_solver.estimate.linear.whitening import BASE_PARAMETERS, PartModel, WhitenedPart
 from gyrorig_solver.estimate.noise.noise_model import NoiseModel
-from gyrorig_solver.estimate.noise.whitening import BASE_PARAMETERS, PartModel, WhitenedPart
 from gyrorig_solver.estimate.observability import BIAS_NAMES
 from gyrorig_solver.estimate.reference_prediction import predict_derivatives, predict_rate
 from gyrorig_solver.estimate.series import Series
-from gyrorig_solver.model.gain_matrix import GAIN_NAMES
+from gyrorig_solver.model import GAIN_NAMES
 from gyrorig_solver.numerics import ArrowheadMatrix, eliminate_local
-from gyrorig_solver.reference.reference_motion import ReferenceMotion
+from gyrorig_solver.reference import ReferenceMotion
 
 PARAMETER_NAMES = (*GAIN_NAMES, *BIAS_NAMES, "time_offset")
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gyrorig_solver.data.arrays import BoolArray, FloatArray
+from gyrorig_solver.data import BoolArray, FloatArray
 from gyrorig_solver.estimate.series import Series
 
 MAX_LAG_S = 0.3  # range of the search

@@ -18,7 +18,7 @@ from collections.abc import Collection, Sequence
 
 import numpy as np
 
-from gyrorig_solver.data.arrays import FloatArray, IntArray
+from gyrorig_solver.data import FloatArray, IntArray
 from gyrorig_solver.estimate.board_fit import BoardFit
 from gyrorig_solver.estimate.board_summary import summarize_board
 from gyrorig_solver.estimate.converged_fit import ConvergedFit
@@ -26,7 +26,7 @@ from gyrorig_solver.estimate.executed_motion import law_columns, reference_decre
 from gyrorig_solver.estimate.fitted_term import FittedTerm
 from gyrorig_solver.estimate.information import MarginalEquations, RecordingEquations
 from gyrorig_solver.estimate.linear.normal_equations import stack_boards
-from gyrorig_solver.estimate.noise.whitening import BASE_PARAMETERS
+from gyrorig_solver.estimate.linear.whitening import BASE_PARAMETERS
 from gyrorig_solver.estimate.observability import analyse_scaled_observability
 from gyrorig_solver.estimate.parameter_layout import (
     ParameterBlock,

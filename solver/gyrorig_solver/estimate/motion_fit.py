@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from gyrorig_solver.data.arrays import BoolArray, FloatArray, IntArray
+from gyrorig_solver.data import BoolArray, FloatArray, IntArray
 from gyrorig_solver.data.samples import GyroSamples
 from gyrorig_solver.estimate.converged_fit import ConvergedFit
 from gyrorig_solver.estimate.fit_summary import BASE_TERMS, FitOutcome, build_gyro_fit
@@ -28,10 +28,8 @@ from gyrorig_solver.estimate.series import build_series
 from gyrorig_solver.estimate.session_fit import SessionFit
 from gyrorig_solver.estimate.trust_region import NotConvergedError
 from gyrorig_solver.estimate.uncertainty_widening import reduced_chi2, widen_uncertainty
-from gyrorig_solver.model.recording_context import RecordingContext
-from gyrorig_solver.reference.reference_motion import ReferenceMotion
-from gyrorig_solver.reference.unit.pan_tilt_reference import PanTiltReference
-from gyrorig_solver.reference.unit.rest_variance import DETENT_VARIANCE
+from gyrorig_solver.model import RecordingContext
+from gyrorig_solver.reference import DETENT_VARIANCE, PanTiltReference, ReferenceMotion
 
 MAX_BLOCKS_WITH_ANGLES = 1 << 20  # 3 h; more would need too much memory for plots
 # Whitened variance in motion over that at rest: above this limit the model is called inadequate.

@@ -10,7 +10,7 @@ from typing import Self
 
 import numpy as np
 
-from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.data import FloatArray
 from gyrorig_solver.estimate.noise.motion_noise import (
     MotionNoise,
     MotionResidual,

@@ -21,18 +21,18 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import solve_triangular
 
-from gyrorig_solver.data.arrays import FloatArray, IntArray
+from gyrorig_solver.data import FloatArray, IntArray
 from gyrorig_solver.estimate.board_fit import BoardFit
 from gyrorig_solver.estimate.converged_fit import ConvergedFit
 from gyrorig_solver.estimate.executed_motion import law_columns
 from gyrorig_solver.estimate.information import marginalise
 from gyrorig_solver.estimate.likelihood_fit import LikelihoodFit
 from gyrorig_solver.estimate.linear.normal_equations import NormalEquations
-from gyrorig_solver.estimate.noise.whitening import BASE_PARAMETERS
+from gyrorig_solver.estimate.linear.whitening import BASE_PARAMETERS
 from gyrorig_solver.estimate.shared_parameters import average_shared_values, shared_term_p_value
 from gyrorig_solver.estimate.trust_region import Convergence, minimise
 from gyrorig_solver.numerics import chi2_upper_tail
-from gyrorig_solver.reference.reference_motion import ReferenceMotion
+from gyrorig_solver.reference import ReferenceMotion
 
 MAX_EVALUATIONS_PLAIN = 20
 MAX_EVALUATIONS_WITH_CAUSES = 40

@@ -11,15 +11,15 @@ import numpy as np
 from scipy.fft import idct
 from scipy.sparse import block_diag, csc_array, csr_array
 
-from gyrorig_solver.data.arrays import FloatArray, IntArray
+from gyrorig_solver.data import FloatArray, IntArray
 from gyrorig_solver.estimate.cascade import fitted_derivatives
 from gyrorig_solver.estimate.converged_fit import ConvergedFit
 from gyrorig_solver.estimate.executed_motion import law_columns, replace_law_derivatives
 from gyrorig_solver.estimate.fitted_term import FittedTerm
-from gyrorig_solver.estimate.noise.whitening import PartModel
+from gyrorig_solver.estimate.linear.whitening import PartModel
 from gyrorig_solver.estimate.parameter_layout import ParameterLayout
 from gyrorig_solver.estimate.series_segment import SeriesSegment
-from gyrorig_solver.model.signal_state import SignalState
+from gyrorig_solver.model import SignalState
 
 
 @dataclass(frozen=True, slots=True, eq=False)

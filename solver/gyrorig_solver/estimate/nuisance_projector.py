@@ -19,7 +19,7 @@ import numpy as np
 from scipy.fft import dct, idct
 from scipy.sparse import csr_array
 
-from gyrorig_solver.data.arrays import FloatArray, IntArray
+from gyrorig_solver.data import FloatArray, IntArray
 from gyrorig_solver.estimate.cascade import (
     TermCascade,
     effect_of_removing,
@@ -32,10 +32,7 @@ from gyrorig_solver.estimate.nuisance_basis import NuisancePrior, nuisance_basis
 from gyrorig_solver.estimate.nuisance_space import NuisanceSpace, ReducedModel, ScoreStatistics
 from gyrorig_solver.estimate.series_segment import SeriesSegment, SignalWhitener
 from gyrorig_solver.estimate.whitened_signals import WhitenedSignals
-from gyrorig_solver.model.recording_scope import term_label
-from gyrorig_solver.model.signal_arrays import Signals, dense_signals
-from gyrorig_solver.model.signal_state import SignalState
-from gyrorig_solver.model.term import Term
+from gyrorig_solver.model import Signals, SignalState, Term, dense_signals, term_label
 
 SignalFunction = Callable[[SignalState], Signals]
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.sparse import csc_array, csr_array
 
-from gyrorig_solver.data.arrays import FloatArray, IntArray
+from gyrorig_solver.data import FloatArray, IntArray
 from gyrorig_solver.estimate.channel_derivatives import ChannelDerivatives, SignalProducts
 from gyrorig_solver.estimate.nuisance_basis import NuisancePrior
 from gyrorig_solver.estimate.whitened_signals import WhitenedSignals

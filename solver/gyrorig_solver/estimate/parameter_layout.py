@@ -14,11 +14,10 @@ from typing import Literal
 
 import numpy as np
 
-from gyrorig_solver.data.arrays import BoolArray, FloatArray, IntArray
+from gyrorig_solver.data import BoolArray, FloatArray, IntArray
 from gyrorig_solver.estimate.fitted_term import FittedTerm
 from gyrorig_solver.estimate.observability import BIAS_NAMES, prior_std
-from gyrorig_solver.model.gain_matrix import GAIN_NAMES
-from gyrorig_solver.model.recording_scope import term_label
+from gyrorig_solver.model import GAIN_NAMES, term_label
 
 GAIN_PARAMETERS = len(GAIN_NAMES)
 SESSION_PARAMETERS = len(BIAS_NAMES) + 1  # bias and time offset of one recording

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.data import FloatArray
 from gyrorig_solver.estimate.cascade import (
     fitted_derivatives,
     pass_through_of,
@@ -16,11 +16,11 @@ from gyrorig_solver.estimate.cascade import (
 )
 from gyrorig_solver.estimate.executed_motion import replace_law_derivatives
 from gyrorig_solver.estimate.fitted_term import FittedTerm
-from gyrorig_solver.estimate.noise.whitening import PartModel
+from gyrorig_solver.estimate.linear.whitening import PartModel
 from gyrorig_solver.estimate.reference_prediction import PartDerivatives, predict_rate
 from gyrorig_solver.estimate.series import Series
 from gyrorig_solver.estimate.series_state import FitValues, PredictedPart, SeriesState
-from gyrorig_solver.model.signal_state import SignalState
+from gyrorig_solver.model import SignalState
 
 
 def predict_part(

@@ -12,11 +12,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gyrorig_solver.data.arrays import BoolArray, FloatArray
+from gyrorig_solver.data import BoolArray, FloatArray
 from gyrorig_solver.estimate.linear.packed_columns import PackedColumns, pack_columns
 from gyrorig_solver.estimate.series import Series
 from gyrorig_solver.model.low_pass import LowPass
-from gyrorig_solver.reference.reference_motion import ReferenceMotion
+from gyrorig_solver.reference import ReferenceMotion
 
 FILTER_LEAD_S = 0.3  # a part starts this much earlier, for the filter to settle
 NOISE_MEMORY_S = 1.0  # columns of one row are twice this apart

@@ -14,15 +14,15 @@ from itertools import pairwise
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from gyrorig_solver.data.arrays import BoolArray, FloatArray
+from gyrorig_solver.data import BoolArray, FloatArray
 from gyrorig_solver.estimate.observability import (
     BIAS_NAMES,
     ObservabilityAnalysis,
     analyse_observability,
 )
-from gyrorig_solver.model.gain_matrix import GAIN_NAMES
+from gyrorig_solver.model import GAIN_NAMES
 from gyrorig_solver.numerics import chi2_upper_tail
-from gyrorig_solver.reference.rotations import prefix_products, turn_vectors
+from gyrorig_solver.reference import prefix_products, turn_vectors
 
 GAIN_AND_BIAS_NAMES = (*GAIN_NAMES, *BIAS_NAMES)
 MIN_REST_S = 0.25

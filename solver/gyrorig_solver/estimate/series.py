@@ -12,7 +12,7 @@ import numpy as np
 from scipy.fft import next_fast_len
 
 from gyrorig_protocol.errors import InputError
-from gyrorig_solver.data.arrays import BoolArray, FloatArray
+from gyrorig_solver.data import BoolArray, FloatArray
 from gyrorig_solver.data.count_columns import CountArray
 from gyrorig_solver.data.samples import GyroSamples
 from gyrorig_solver.estimate.noise.noise_model import Sampling

@@ -10,13 +10,12 @@ from functools import cached_property
 import numpy as np
 from scipy.fft import dct, idct
 
-from gyrorig_solver.data.arrays import BoolArray, FloatArray, IntArray
+from gyrorig_solver.data import BoolArray, FloatArray, IntArray
+from gyrorig_solver.estimate.linear.whitening import PartModel
 from gyrorig_solver.estimate.noise.noise_model import NoiseModel, dct_frequencies_hz
 from gyrorig_solver.estimate.noise.relative_std import mean_white_power
-from gyrorig_solver.estimate.noise.whitening import PartModel
 from gyrorig_solver.estimate.whitened_signals import ChannelRows
-from gyrorig_solver.model.signal_arrays import AxisBiases, Signals
-from gyrorig_solver.model.signal_state import SignalState
+from gyrorig_solver.model import AxisBiases, Signals, SignalState
 
 ROWS_PER_BATCH = 8  # that a cache holds
 SAMPLES_LOOKED_AT = 64  # that show that a signal is not zero

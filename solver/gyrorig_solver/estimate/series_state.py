@@ -9,7 +9,7 @@ from typing import Self
 
 import numpy as np
 
-from gyrorig_solver.data.arrays import BoolArray, FloatArray
+from gyrorig_solver.data import BoolArray, FloatArray
 from gyrorig_solver.estimate.initial_guess import (
     LeastSquaresSums,
     correlation_lag,
@@ -20,7 +20,7 @@ from gyrorig_solver.estimate.noise.outliers import find_outliers, robust_spread
 from gyrorig_solver.estimate.noise.relative_std import RelativeStd
 from gyrorig_solver.estimate.reference_prediction import low_pass_delay_s
 from gyrorig_solver.estimate.series import Series
-from gyrorig_solver.reference.reference_motion import ReferenceMotion
+from gyrorig_solver.reference import ReferenceMotion
 
 MIN_REFERENCE_RATE_RAD_S = 0.003  # of the reference
 

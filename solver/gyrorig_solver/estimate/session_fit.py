@@ -14,7 +14,7 @@ from operator import add
 import numpy as np
 
 from gyrorig_protocol.errors import InputError
-from gyrorig_solver.data.arrays import BoolArray, FloatArray
+from gyrorig_solver.data import BoolArray, FloatArray
 from gyrorig_solver.estimate.executed_motion import executed_motion, follow_law
 from gyrorig_solver.estimate.fitted_term import FittedTerm
 from gyrorig_solver.estimate.initial_guess import LeastSquaresSums
@@ -23,11 +23,11 @@ from gyrorig_solver.estimate.linear.normal_equations import (
     NormalEquations,
     NormalEquationsSum,
 )
+from gyrorig_solver.estimate.linear.whitening import PartModel, WhitenedPart, whiten_residual
 from gyrorig_solver.estimate.motion_weights import MotionWeights
 from gyrorig_solver.estimate.noise.motion_noise import MotionNoise
 from gyrorig_solver.estimate.noise.noise_model import NoiseModel, Sampling
 from gyrorig_solver.estimate.noise.relative_std import RelativeStd
-from gyrorig_solver.estimate.noise.whitening import PartModel, WhitenedPart, whiten_residual
 from gyrorig_solver.estimate.part_model import build_part_model, predict_part
 from gyrorig_solver.estimate.reference_prediction import (
     low_pass_delay_s,
@@ -36,9 +36,8 @@ from gyrorig_solver.estimate.reference_prediction import (
 from gyrorig_solver.estimate.series import PART_BLOCKS, Series, too_short_error
 from gyrorig_solver.estimate.series_state import FitValues, PredictedPart, SeriesState
 from gyrorig_solver.estimate.signal_state_cache import SignalStateCache
-from gyrorig_solver.model.recording_context import RecordingContext
-from gyrorig_solver.model.signal_state import SignalState
-from gyrorig_solver.reference.reference_motion import ReferenceMotion
+from gyrorig_solver.model import RecordingContext, SignalState
+from gyrorig_solver.reference import ReferenceMotion
 
 
 class SessionFit:

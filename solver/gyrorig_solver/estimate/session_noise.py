@@ -5,7 +5,7 @@ What to use when: `fit_session_noise` at a fit; `session_periodograms` for the s
 
 from dataclasses import dataclass
 
-from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.data import FloatArray
 from gyrorig_solver.estimate.noise.noise_estimation import (
     ResidualSegment,
     noise_periodograms,

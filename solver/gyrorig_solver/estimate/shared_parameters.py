@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from gyrorig_solver.data.arrays import BoolArray, FloatArray
+from gyrorig_solver.data import BoolArray, FloatArray
 from gyrorig_solver.estimate.converged_fit import ConvergedFit
 from gyrorig_solver.estimate.fitted_term import FittedTerm
 from gyrorig_solver.estimate.information import MarginalEquations
@@ -21,7 +21,7 @@ from gyrorig_solver.estimate.parameter_layout import (
     identify_term,
     is_shared_term,
 )
-from gyrorig_solver.model.term import Term
+from gyrorig_solver.model import Term
 from gyrorig_solver.numerics import chi2_upper_tail
 
 MIN_RELATIVE_INFORMATION = 1e-9  # of the strongest direction: less information is ignored

@@ -10,9 +10,8 @@ import numpy as np
 from gyrorig_solver.estimate.reference_prediction import instants_per_block
 from gyrorig_solver.estimate.series import PART_BLOCKS, Series
 from gyrorig_solver.estimate.series_state import FitValues
-from gyrorig_solver.model.recording_context import RecordingContext
-from gyrorig_solver.model.signal_state import SignalState
-from gyrorig_solver.reference.reference_motion import ReferenceMotion
+from gyrorig_solver.model import RecordingContext, SignalState
+from gyrorig_solver.reference import ReferenceMotion
 
 
 class SignalStateCache:

@@ -18,7 +18,7 @@ from typing import Protocol
 import numpy as np
 
 from gyrorig_protocol.errors import InputError
-from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.data import FloatArray
 
 CONVERGED_SIGMA = 1e-2  # of the last step
 STEP_SHRINKAGE = 0.1  # after a step that shrank by this factor the next one is negligible

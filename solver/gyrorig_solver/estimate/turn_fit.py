@@ -17,15 +17,16 @@ from dataclasses import dataclass
 import numpy as np
 
 from gyrorig_protocol.errors import InputError
-from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.data import FloatArray
 from gyrorig_solver.data.samples import GyroSamples
 from gyrorig_solver.estimate.fit_summary import FitOutcome, build_gyro_fit
 from gyrorig_solver.estimate.gyro_fit import GyroFit
 from gyrorig_solver.estimate.information import PARAMETER_NAMES
 from gyrorig_solver.estimate.observability import analyse_observability
-from gyrorig_solver.model.gain_matrix import cross_matrix
+from gyrorig_solver.model import cross_matrix
 from gyrorig_solver.numerics.distributions import chi2_quantile
-from gyrorig_solver.reference.known_turns import KnownTurn, TimeInterval, TurnReference
+from gyrorig_solver.reference import TimeInterval, TurnReference
+from gyrorig_solver.reference.known_turns import KnownTurn
 
 # Difference between true and stated axis, per direction: a board held by hand
 # against the edge of a table (an assumption; a rate table is far better).

@@ -6,7 +6,7 @@ board would state, which decides the observability of derived numbers.
 
 import numpy as np
 
-from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.data import FloatArray
 from gyrorig_solver.estimate.information import PARAMETER_NAMES
 from gyrorig_solver.estimate.observability import ObservabilityAnalysis, prior_std
 from gyrorig_solver.model.gain_matrix import rotation_matrix

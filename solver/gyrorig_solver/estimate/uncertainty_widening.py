@@ -13,7 +13,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from gyrorig_solver.data.arrays import BoolArray, FloatArray
+from gyrorig_solver.data import BoolArray, FloatArray
 from gyrorig_solver.estimate.converged_fit import ConvergedFit
 from gyrorig_solver.estimate.observability import ObservabilityAnalysis
 from gyrorig_solver.estimate.session_fit import SessionFit

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gyrorig_protocol.errors import UsageError
-from gyrorig_solver.data.arrays import FloatArray, IntArray
+from gyrorig_solver.data import FloatArray, IntArray
 from gyrorig_solver.export.export_source import AXES_TEXT, ExportSource, printable_line, quoted
 
 _INT16_LIMIT = 32768

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from gyrorig_protocol.errors import UsageError
-from gyrorig_solver.calibration.calibration_document import calibration_as_mapping
+from gyrorig_solver.calibration import calibration_as_mapping
 from gyrorig_solver.export.c_header import c_header
 from gyrorig_solver.export.export_source import AXES_TEXT, ExportSource
 from gyrorig_solver.export.flight_controllers import ardupilot_parameters, px4_parameters

@@ -13,7 +13,7 @@ from gyrorig_protocol.errors import InputError
 from gyrorig_solver.apply import Calibration, Correction, Frame
 from gyrorig_solver.apply.correction import unobservable_text
 from gyrorig_solver.calibration import calibration_document
-from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.data import FloatArray
 
 AXES_TEXT = {
     "stage": "the stage's axes during the calibration: x is the tilt axis, y points forward "

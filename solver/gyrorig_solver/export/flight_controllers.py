@@ -15,7 +15,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.data import FloatArray
 from gyrorig_solver.export.export_source import ExportSource
 
 _REAL32, _INT32 = 9, 6  # MAV_PARAM_TYPE of MAVLink

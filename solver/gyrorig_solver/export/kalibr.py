@@ -21,7 +21,7 @@ import math
 import numpy as np
 
 from gyrorig_protocol.errors import InputError
-from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.data import FloatArray
 from gyrorig_solver.export.export_source import AXES_TEXT, ExportSource
 from gyrorig_solver.export.ros import yaml_list, yaml_number
 

@@ -5,14 +5,24 @@ What to use when: `findings_builder.build_findings_document` to make a document,
 `findings_files.write_findings` for the folder with document, report and figures.
 """
 
-from gyrorig_solver.findings.findings_builder import build_findings_document
-from gyrorig_solver.findings.findings_document import FindingsDocument
+from gyrorig_solver.findings.findings_builder import (
+    UNEXPLAINED_FIGURE,
+    build_findings_document,
+    figure_key,
+)
+from gyrorig_solver.findings.findings_document import CauseEntry, FindingsDocument, to_yaml
 from gyrorig_solver.findings.findings_files import write_findings
-from gyrorig_solver.findings.findings_wording import findings_summary
+from gyrorig_solver.findings.findings_wording import amount_text, findings_summary, place_text
 
 __all__ = [
+    "UNEXPLAINED_FIGURE",
+    "CauseEntry",
     "FindingsDocument",
+    "amount_text",
     "build_findings_document",
+    "figure_key",
     "findings_summary",
+    "place_text",
+    "to_yaml",
     "write_findings",
 ]

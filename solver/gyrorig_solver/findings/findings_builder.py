@@ -8,13 +8,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from gyrorig_solver.data.stream.count_stream import CheckResult, StreamFinding
-from gyrorig_solver.discover.cause_findings import (
-    CalibrationChange,
-    CauseFindings,
-    ConfidenceInterval,
-    NamedCause,
-)
-from gyrorig_solver.discover.cause_findings import HeldOutGain as FoundGain
+from gyrorig_solver.discover import CauseFindings, NamedCause
+from gyrorig_solver.discover import HeldOutGain as FoundGain
+from gyrorig_solver.discover.cause_findings import CalibrationChange, ConfidenceInterval
 from gyrorig_solver.discover.cause_findings import UnexplainedResidual as FoundUnexplained
 from gyrorig_solver.findings.findings_document import (
     BaseModelEntry,

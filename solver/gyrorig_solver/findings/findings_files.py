@@ -12,7 +12,7 @@ from pathlib import Path
 
 from gyrorig_protocol.errors import MachineError
 from gyrorig_protocol.identity import BoardId
-from gyrorig_solver.calibration.calibration_store import CalibrationStore
+from gyrorig_solver.calibration import CalibrationStore
 from gyrorig_solver.storage import write_file
 
 DOCUMENT_NAME, PAGE_NAME, FIGURES_FOLDER = "findings.yaml", "report.html", "figures"

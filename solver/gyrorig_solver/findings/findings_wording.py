@@ -14,8 +14,8 @@ from gyrorig_solver.findings.findings_document import (
     FindingsDocument,
     SizeEntry,
 )
+from gyrorig_solver.model import DEG_PER_RAD, format_quantity, format_short
 from gyrorig_solver.model.catalogue import catalogue
-from gyrorig_solver.model.parameter_units import DEG_PER_RAD, format_quantity, format_short
 
 # Verdict of the document: title and sentence.
 VERDICTS = MappingProxyType(

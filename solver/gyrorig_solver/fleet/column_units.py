@@ -4,7 +4,7 @@ What to use when: `column_label` for `scale.x` from `scale_x`, `column_unit` for
 the index's SI unit to the unit shown, `format_shift` for a deviation with its unit.
 """
 
-from gyrorig_solver.model.parameter_units import group_of, parameter_label
+from gyrorig_solver.model import group_of, parameter_label
 
 
 def column_label(column: str) -> str:

@@ -10,7 +10,7 @@ import numpy as np
 
 from gyrorig_protocol.errors import InputError
 from gyrorig_protocol.recording.messages import ImuStatus
-from gyrorig_solver.data.arrays import BoolArray, FloatArray, IntArray
+from gyrorig_solver.data import BoolArray, FloatArray, IntArray
 from gyrorig_solver.importers.import_map import (
     AccelColumns,
     AttitudeColumns,

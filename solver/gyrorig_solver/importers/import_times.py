@@ -3,7 +3,7 @@
 import numpy as np
 
 from gyrorig_protocol.errors import InputError
-from gyrorig_solver.data.arrays import FloatArray, IntArray
+from gyrorig_solver.data import FloatArray, IntArray
 from gyrorig_solver.importers.import_map import TimeBase
 from gyrorig_solver.importers.measurement_columns import MeasurementColumns
 

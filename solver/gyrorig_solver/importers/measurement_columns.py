@@ -18,7 +18,7 @@ from typing import Protocol
 import numpy as np
 
 from gyrorig_protocol.errors import InputError
-from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.data import FloatArray
 from gyrorig_solver.data.text_table import check_text_table
 
 # A row takes about 200 bytes (measured on 2 million rows): ten million rows take 2 GB.

@@ -20,7 +20,7 @@ from gyrorig_protocol.recording.messages import (
     ReferenceAttitude,
 )
 from gyrorig_protocol.recording.writer import Attachment
-from gyrorig_solver.data.arrays import FloatArray, IntArray
+from gyrorig_solver.data import FloatArray, IntArray
 from gyrorig_solver.data.clocks.clock_map import map_clock
 from gyrorig_solver.importers.import_map import (
     ImportMap,

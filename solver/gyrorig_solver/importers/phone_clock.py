@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gyrorig_protocol.errors import InputError
-from gyrorig_solver.data.arrays import BoolArray, FloatArray
+from gyrorig_solver.data import BoolArray, FloatArray
 
 GRID_S = 0.01
 WINDOW_S = 10.0

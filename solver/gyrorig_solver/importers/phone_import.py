@@ -17,7 +17,7 @@ from gyrorig_protocol.recording.messages import EventKind, ImuStatus
 from gyrorig_protocol.recording.reader import read_recording
 from gyrorig_protocol.recording.recording import Recording
 from gyrorig_protocol.recording.writer import Attachment
-from gyrorig_solver.data.arrays import FloatArray, IntArray
+from gyrorig_solver.data import FloatArray, IntArray
 from gyrorig_solver.importers.import_streams import ACCEL_COUNT_M_S2, GYRO_COUNT_RAD_S, ImuStream
 from gyrorig_solver.importers.import_times import values_at_samples
 from gyrorig_solver.importers.imported_recording import (
@@ -31,7 +31,7 @@ from gyrorig_solver.importers.imported_recording import (
 )
 from gyrorig_solver.importers.phone_clock import GRID_S, PhoneClock, find_phone_clock
 from gyrorig_solver.importers.phone_log import PhoneLog, read_phone_log
-from gyrorig_solver.reference.unit.pan_tilt_recording import read_pan_tilt_reference
+from gyrorig_solver.reference import read_pan_tilt_reference
 
 UNIT_MARGIN_S = 2.0  # of the phone's samples, before and after the unit's recording
 

@@ -24,7 +24,7 @@ from pathlib import Path
 import numpy as np
 
 from gyrorig_protocol.errors import InputError
-from gyrorig_solver.data.arrays import FloatArray, IntArray
+from gyrorig_solver.data import FloatArray, IntArray
 from gyrorig_solver.data.text_table import check_text_table
 from gyrorig_solver.importers.measurement_columns import MAX_ROWS, open_columns
 

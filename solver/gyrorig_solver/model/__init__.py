@@ -4,3 +4,96 @@ What to use when: `gain_matrix` and `low_pass` for the sensor; `signal_state` fo
 stage of the signal path; `term` for the interface of a cause, `term_kinds` for its base classes,
 `causes` for the causes themselves and `catalogue` to find them; `leveling` for the tilt zero.
 """
+
+from gyrorig_solver.model.board_temperature import BoardTemperature
+from gyrorig_solver.model.catalogue import find_term
+from gyrorig_solver.model.gain_matrix import (
+    FACTOR_NAMES,
+    GAIN_NAMES,
+    cross_matrix,
+    factor_jacobian,
+    factorise,
+)
+from gyrorig_solver.model.parameter_units import (
+    DEG_PER_RAD,
+    PARAMETER_GROUPS,
+    ParameterGroup,
+    display_unit,
+    format_quantity,
+    format_short,
+    format_two_digits,
+    group_of,
+    parameter_label,
+    plural,
+)
+from gyrorig_solver.model.recording_context import STANDARD_GRAVITY_M_S2, RecordingContext, Site
+from gyrorig_solver.model.recording_scope import (
+    is_active_in,
+    limit_to_recording,
+    recording_index_of,
+    term_label,
+    value_labels,
+)
+from gyrorig_solver.model.signal_arrays import AxisBiases, Signals, dense_signals, zero_signals
+from gyrorig_solver.model.signal_state import SignalState
+from gyrorig_solver.model.term import (
+    BinnedDependence,
+    Part,
+    Stage,
+    Term,
+    TermParameter,
+    components_of,
+    start_values,
+    value_indices,
+    value_names,
+    value_parameters,
+)
+from gyrorig_solver.model.term_kinds import LinearTerm
+from gyrorig_solver.model.value_format import DEG, XYZ, format_list
+
+__all__ = [
+    "DEG",
+    "DEG_PER_RAD",
+    "FACTOR_NAMES",
+    "GAIN_NAMES",
+    "PARAMETER_GROUPS",
+    "STANDARD_GRAVITY_M_S2",
+    "XYZ",
+    "AxisBiases",
+    "BinnedDependence",
+    "BoardTemperature",
+    "LinearTerm",
+    "ParameterGroup",
+    "Part",
+    "RecordingContext",
+    "SignalState",
+    "Signals",
+    "Site",
+    "Stage",
+    "Term",
+    "TermParameter",
+    "components_of",
+    "cross_matrix",
+    "dense_signals",
+    "display_unit",
+    "factor_jacobian",
+    "factorise",
+    "find_term",
+    "format_list",
+    "format_quantity",
+    "format_short",
+    "format_two_digits",
+    "group_of",
+    "is_active_in",
+    "limit_to_recording",
+    "parameter_label",
+    "plural",
+    "recording_index_of",
+    "start_values",
+    "term_label",
+    "value_indices",
+    "value_labels",
+    "value_names",
+    "value_parameters",
+    "zero_signals",
+]

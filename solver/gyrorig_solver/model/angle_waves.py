@@ -5,7 +5,7 @@ What to use when: `AngleWaves.cosine_and_sine` for an error with a period in the
 
 import numpy as np
 
-from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.data import FloatArray
 
 
 class AngleWaves:

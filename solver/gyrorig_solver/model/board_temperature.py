@@ -18,7 +18,7 @@ from typing import Self
 import numpy as np
 from scipy.linalg import solveh_banded
 
-from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.data import FloatArray
 from gyrorig_solver.model.recursive_filters import filter_from_rest
 
 GRID_STEP_S = 1.0  # of the smoothed grid

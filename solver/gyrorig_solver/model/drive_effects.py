@@ -9,13 +9,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from gyrorig_solver.data.arrays import FloatArray, IntArray
+from gyrorig_solver.data import FloatArray, IntArray
 from gyrorig_solver.model.recursive_filters import filter_from_rest, step_invariant
-from gyrorig_solver.reference.unit.motion_profile import (
-    MotionLimits,
-    MotionProfile,
-    plan_motion,
-)
+from gyrorig_solver.reference import MotionLimits, MotionProfile, plan_motion
 
 _MIN_ANGLE_STEP_RAD = 1e-12  # smaller steps are rounding of an angle at rest
 _MIN_WIDTH_S = 1e-5  # the difference of integrals over less is rounding

@@ -11,7 +11,7 @@ from typing import Self
 
 import numpy as np
 
-from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.data import FloatArray
 
 # The order of the nine numbers of S, T and M in every covariance.
 FACTOR_NAMES = (

@@ -10,7 +10,7 @@ from typing import Self
 import numpy as np
 from scipy.sparse import csr_array
 
-from gyrorig_solver.data.arrays import FloatArray, IntArray
+from gyrorig_solver.data import FloatArray, IntArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)

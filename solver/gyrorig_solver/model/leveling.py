@@ -34,7 +34,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gyrorig_protocol.errors import InputError
-from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.data import FloatArray
 from gyrorig_solver.model.parameter_units import plural
 
 LEVEL_STD_RAD = 0.035  # a rig on a table is level within about 2 deg

@@ -6,7 +6,7 @@ What to use when: `RecordingContext` for causes that need more than the signal i
 from dataclasses import dataclass
 
 from gyrorig_solver.model.board_temperature import BoardTemperature
-from gyrorig_solver.reference.unit.motion_profile import MotionProfile
+from gyrorig_solver.reference import MotionProfile
 
 STANDARD_GRAVITY_M_S2 = 9.80665  # CGPM 1901
 

@@ -13,7 +13,7 @@ import numpy as np
 from scipy.linalg import expm
 from scipy.linalg.lapack import dtbtrs
 
-from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.data import FloatArray
 
 BLOCK_OUTPUTS, BLOCK_DECIMATED_OUTPUTS = 40, 16  # the fastest sizes of those that were measured
 VALUES_TOGETHER = 65_536  # of rows that a cache holds

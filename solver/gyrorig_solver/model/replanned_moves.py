@@ -14,9 +14,9 @@ from typing import Self
 
 import numpy as np
 
-from gyrorig_solver.data.arrays import FloatArray, IntArray
+from gyrorig_solver.data import FloatArray, IntArray
 from gyrorig_solver.model.drive_effects import replan_with_limits
-from gyrorig_solver.reference.unit.motion_profile import MotionProfile
+from gyrorig_solver.reference import MotionProfile
 
 AxisProfiles = tuple[tuple[int, MotionProfile], ...]  # axis (0 pan, 1 tilt), profile
 LimitChange = tuple[float, float]  # share of the acceleration, base speed in steps/s

@@ -22,13 +22,13 @@ from typing import Self
 import numpy as np
 from scipy.sparse import csr_array
 
-from gyrorig_solver.data.arrays import BoolArray, FloatArray
+from gyrorig_solver.data import BoolArray, FloatArray
 from gyrorig_solver.model.angle_waves import AngleWaves
 from gyrorig_solver.model.hermite_interpolation import HermiteInterpolator
 from gyrorig_solver.model.low_pass import LowPass
 from gyrorig_solver.model.recording_context import RecordingContext
 from gyrorig_solver.model.signal_arrays import axis_rows, is_on_all_axes
-from gyrorig_solver.reference.unit.stage_kinematics import StageRateJacobian
+from gyrorig_solver.reference import StageRateJacobian
 
 MIN_AXIS_RATE_RAD_S = 1e-4  # a slower axis is at rest; a step (0.05 deg) would take 10 s
 

@@ -11,7 +11,7 @@ angle on the grid; `jump_responses` for their signal in the block means.
 
 import numpy as np
 
-from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.data import FloatArray
 from gyrorig_solver.model.signal_state import SignalState
 
 MAX_RELATIVE_DEVIATION = 0.3  # of a jump: with a larger deviation the angle does not have the jump

@@ -11,7 +11,7 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from gyrorig_solver.data.arrays import BoolArray, FloatArray
+from gyrorig_solver.data import BoolArray, FloatArray
 from gyrorig_solver.model.signal_arrays import zero_signals
 from gyrorig_solver.model.signal_state import SignalState
 from gyrorig_solver.reference.unit.motion_law import LawQuantity

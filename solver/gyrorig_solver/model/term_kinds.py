@@ -10,7 +10,7 @@ from abc import abstractmethod
 
 import numpy as np
 
-from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.data import FloatArray
 from gyrorig_solver.model.signal_arrays import stack_signals, zero_signals
 from gyrorig_solver.model.signal_state import SignalState
 from gyrorig_solver.model.term import (

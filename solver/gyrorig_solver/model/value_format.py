@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.data import FloatArray
 
 DEG = np.pi / 180.0
 XYZ = ("x", "y", "z")

@@ -7,6 +7,7 @@ with many local and a few shared unknowns.
 from gyrorig_solver.numerics.arrowhead import ArrowheadMatrix, eliminate_local, solve_arrowhead
 from gyrorig_solver.numerics.distributions import (
     chi2_upper_tail,
+    detection_noncentrality,
     normal_quantile,
     normal_upper_tail,
 )
@@ -14,6 +15,7 @@ from gyrorig_solver.numerics.distributions import (
 __all__ = [
     "ArrowheadMatrix",
     "chi2_upper_tail",
+    "detection_noncentrality",
     "eliminate_local",
     "normal_quantile",
     "normal_upper_tail",

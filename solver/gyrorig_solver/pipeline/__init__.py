@@ -7,18 +7,21 @@ What to use when: `solve_board.solve_and_store` for a calibration in a store,
 `explain_board.explain_boards` for findings, `fit_board.solve_recordings` for a fit alone.
 """
 
-from gyrorig_solver.pipeline.criticised_fit import CriticisedFit
+from gyrorig_solver.pipeline.criticised_fit import AUTO, CriticisedFit, fit_together
 from gyrorig_solver.pipeline.explain_board import WrittenFindings, explain_boards, write_explanation
 from gyrorig_solver.pipeline.fit_board import solve_recordings
 from gyrorig_solver.pipeline.solve_board import StoredResult, solve_and_store
-from gyrorig_solver.pipeline.unit_prior import UnitKnowledge
+from gyrorig_solver.pipeline.unit_prior import UnitKnowledge, read_unit_file
 
 __all__ = [
+    "AUTO",
     "CriticisedFit",
     "StoredResult",
     "UnitKnowledge",
     "WrittenFindings",
     "explain_boards",
+    "fit_together",
+    "read_unit_file",
     "solve_and_store",
     "solve_recordings",
     "write_explanation",

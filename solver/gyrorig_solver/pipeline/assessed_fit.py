@@ -6,9 +6,9 @@ the fit adds to the posterior of the unit.
 
 from dataclasses import dataclass, replace
 
-from gyrorig_solver.calibration.calibration_document import UnitPriorRecord
+from gyrorig_solver.calibration import UnitPriorRecord
+from gyrorig_solver.estimate import GyroFit
 from gyrorig_solver.estimate.corrected_fit import correct_fit
-from gyrorig_solver.estimate.gyro_fit import GyroFit
 from gyrorig_solver.pipeline.board_data import BoardData
 from gyrorig_solver.pipeline.criticised_fit import CriticisedFit
 from gyrorig_solver.pipeline.unit_prior import CONFLICT_REMARK, UnitKnowledge, contradicts

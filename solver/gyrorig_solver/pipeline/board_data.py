@@ -9,10 +9,14 @@ from gyrorig_protocol.recording.recording import Recording
 from gyrorig_solver.data.samples import GyroSamples, load_samples
 from gyrorig_solver.data.stream.exact_repeats import without_repeats
 from gyrorig_solver.data.stream.stuck_axes import without_clipping
-from gyrorig_solver.reference.known_turns import TurnReference, read_turns
-from gyrorig_solver.reference.reference_motion import ReferenceMotion
-from gyrorig_solver.reference.rest_reference import RestReference, mostly_at_rest
-from gyrorig_solver.reference.unit.pan_tilt_recording import read_pan_tilt_reference
+from gyrorig_solver.reference import (
+    ReferenceMotion,
+    RestReference,
+    TurnReference,
+    mostly_at_rest,
+    read_pan_tilt_reference,
+    read_turns,
+)
 
 UNIT_TOPIC, ATTITUDE_TOPIC = "/ptu/position", "/reference/attitude"
 Session = tuple[Recording, GyroSamples, ReferenceMotion]

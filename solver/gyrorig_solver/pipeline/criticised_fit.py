@@ -16,15 +16,17 @@ from types import MappingProxyType
 from gyrorig_protocol.errors import GyrorigError
 from gyrorig_protocol.identity import BoardId
 from gyrorig_protocol.recording.recording import Recording
+from gyrorig_solver.discover import FitCriticism, criticise_fit
 from gyrorig_solver.discover.attitude.attitude_space import fit_attitude_space
-from gyrorig_solver.discover.fit_criticism import FitCriticism, criticise_fit
 from gyrorig_solver.discover.motion_space import MotionFitSpace
-from gyrorig_solver.estimate.converged_fit import ConvergedFit
-from gyrorig_solver.estimate.fitted_term import FittedTerm
-from gyrorig_solver.estimate.gyro_fit import GyroFit
-from gyrorig_solver.estimate.multi_board_fit import fit_boards_jointly
-from gyrorig_solver.estimate.shared_parameters import is_unit_cause
-from gyrorig_solver.model.recording_scope import term_label
+from gyrorig_solver.estimate import (
+    ConvergedFit,
+    FittedTerm,
+    GyroFit,
+    fit_boards_jointly,
+    is_unit_cause,
+)
+from gyrorig_solver.model import term_label
 from gyrorig_solver.pipeline.board_data import UNIT_TOPIC, BoardData
 from gyrorig_solver.pipeline.explain_board import (
     BoardExplanation,

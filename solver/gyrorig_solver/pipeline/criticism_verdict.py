@@ -11,11 +11,12 @@ from collections.abc import Sequence
 
 import msgspec
 
-from gyrorig_solver.calibration.calibration_document import CalibrationDocument, Trust
+from gyrorig_solver.calibration import CalibrationDocument
+from gyrorig_solver.calibration.calibration_document import Trust
 from gyrorig_solver.calibration.verdict import Verdict
-from gyrorig_solver.discover.fit_criticism import FitCriticism
+from gyrorig_solver.discover import FitCriticism
 from gyrorig_solver.findings import FindingsDocument
-from gyrorig_solver.model.term import Term
+from gyrorig_solver.model import Term
 
 
 def add_findings(

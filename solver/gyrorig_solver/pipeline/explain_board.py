@@ -16,23 +16,31 @@ import numpy as np
 from gyrorig_protocol.errors import GyrorigError
 from gyrorig_protocol.identity import BoardId
 from gyrorig_protocol.recording.recording import Recording
+from gyrorig_solver.calibration import find_profile
 from gyrorig_solver.calibration.calibration_wording import level_sentence
-from gyrorig_solver.calibration.sensor_profiles import find_profile
-from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.data import FloatArray
 from gyrorig_solver.data.stream.gain_checks import check_gain
 from gyrorig_solver.data.stream.stream_checks import check_stream
+from gyrorig_solver.discover import (
+    CauseFindings,
+    FitExplanation,
+    HeldOutGain,
+    explain_fit,
+    explain_jointly,
+)
 from gyrorig_solver.discover.attitude.attitude_space import AttitudeRecording
 from gyrorig_solver.discover.attitude.explain_attitudes import explain_attitudes
-from gyrorig_solver.discover.boards.joint_explanation import explain_jointly
-from gyrorig_solver.discover.cause_findings import CauseFindings, FitExplanation, HeldOutGain
 from gyrorig_solver.discover.fit_criticism import findings_without_rates
-from gyrorig_solver.discover.fit_explanation import explain_fit
 from gyrorig_solver.discover.held_out_gain import gain_on_recording
-from gyrorig_solver.estimate.converged_fit import ConvergedFit
-from gyrorig_solver.estimate.gyro_fit import GyroFit
-from gyrorig_solver.findings import FindingsDocument, build_findings_document, write_findings
+from gyrorig_solver.estimate import ConvergedFit, GyroFit
+from gyrorig_solver.findings import (
+    FindingsDocument,
+    build_findings_document,
+    to_yaml,
+    write_findings,
+)
 from gyrorig_solver.findings.findings_builder import FindingsOrigin, RawChecks
-from gyrorig_solver.findings.findings_document import BoardEntry, InputEntry, to_yaml
+from gyrorig_solver.findings.findings_document import BoardEntry, InputEntry
 from gyrorig_solver.findings.findings_files import PAGE_NAME, figure_path
 from gyrorig_solver.pipeline.board_data import (
     ATTITUDE_TOPIC,

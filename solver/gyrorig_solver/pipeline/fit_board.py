@@ -12,17 +12,18 @@ import numpy as np
 from gyrorig_protocol.errors import InputError, UsageError
 from gyrorig_protocol.recording.recording import Recording, times_ns
 from gyrorig_solver.data.samples import GyroSamples, positive_number
-from gyrorig_solver.estimate.attitude.attitude_fit import fit_attitude
-from gyrorig_solver.estimate.fitted_term import FittedTerm
-from gyrorig_solver.estimate.gravity_fit import fit_gravity
-from gyrorig_solver.estimate.gyro_fit import GyroFit
-from gyrorig_solver.estimate.motion_fit import fit_motion
-from gyrorig_solver.estimate.observability_remedies import REST_REMEDIES
-from gyrorig_solver.estimate.turn_fit import fit_turns
+from gyrorig_solver.estimate import (
+    REST_REMEDIES,
+    FittedTerm,
+    GyroFit,
+    fit_attitude,
+    fit_gravity,
+    fit_motion,
+    fit_turns,
+)
 from gyrorig_solver.pipeline.board_data import ATTITUDE_TOPIC, BoardData, load_board
 from gyrorig_solver.pipeline.prepare_board import prepare_board
-from gyrorig_solver.reference.attitude_reference import AttitudeReference, read_attitude
-from gyrorig_solver.reference.rest_reference import RestReference, mostly_at_rest
+from gyrorig_solver.reference import AttitudeReference, RestReference, mostly_at_rest, read_attitude
 
 STANDARD_GRAVITY_M_S2 = 9.80665  # CGPM 1901; only the accelerometer's scale depends on it
 

@@ -12,7 +12,7 @@ from gyrorig_protocol.errors import GyrorigError
 from gyrorig_protocol.recording.recording import Recording
 from gyrorig_solver.data.clocks.shared_time_base import TimeCorrection, fit_shared_time
 from gyrorig_solver.data.samples import GyroSamples, load_samples
-from gyrorig_solver.estimate.gyro_fit import NO_SHARING, BoardSharing
+from gyrorig_solver.estimate import NO_SHARING, BoardSharing
 from gyrorig_solver.pipeline.board_data import BoardData
 
 

@@ -14,13 +14,19 @@ from gyrorig_solver.data.samples import GyroSamples, load_samples
 from gyrorig_solver.data.stream.exact_repeats import without_repeats
 from gyrorig_solver.data.stream.stuck_axes import without_clipping
 from gyrorig_solver.discover.held_out_recording import HeldOutRecording
-from gyrorig_solver.estimate.converged_fit import ConvergedFit
-from gyrorig_solver.estimate.fitted_term import FittedTerm
-from gyrorig_solver.estimate.gyro_fit import NO_SHARING, BoardSharing, GyroFit, StageLevel
+from gyrorig_solver.estimate import (
+    NO_SHARING,
+    REST_REMEDIES,
+    UNIT_REMEDIES,
+    BoardSharing,
+    ConvergedFit,
+    FittedTerm,
+    GyroFit,
+)
+from gyrorig_solver.estimate.gyro_fit import StageLevel
 from gyrorig_solver.estimate.motion_fit import create_session, solve_motion, summarize_motion_fit
-from gyrorig_solver.estimate.observability_remedies import REST_REMEDIES, UNIT_REMEDIES
+from gyrorig_solver.model import RecordingContext
 from gyrorig_solver.model.leveling import level_from_rests
-from gyrorig_solver.model.recording_context import RecordingContext
 from gyrorig_solver.pipeline.board_data import (
     BoardData,
     Session,
@@ -30,9 +36,8 @@ from gyrorig_solver.pipeline.board_data import (
 )
 from gyrorig_solver.pipeline.recording_contexts import read_contexts
 from gyrorig_solver.pipeline.term_selection import TermSelection, select_terms
-from gyrorig_solver.reference.reference_motion import ReferenceMotion
+from gyrorig_solver.reference import PanTiltReference, ReferenceMotion
 from gyrorig_solver.reference.unit.counted_reference import CountedReference
-from gyrorig_solver.reference.unit.pan_tilt_reference import PanTiltReference
 
 MAX_SAMPLES_FOR_LEVEL = 4_000_000  # beyond, the accelerations need too much memory
 

@@ -9,10 +9,8 @@ from gyrorig_protocol.errors import InputError
 from gyrorig_protocol.recording.recording import Recording
 from gyrorig_solver.data.samples import GyroSamples, positive_number
 from gyrorig_solver.data.samples import mean_temperature_degc as mean_of
-from gyrorig_solver.model.board_temperature import BoardTemperature
-from gyrorig_solver.model.recording_context import STANDARD_GRAVITY_M_S2, RecordingContext, Site
-from gyrorig_solver.reference.reference_motion import ReferenceMotion
-from gyrorig_solver.reference.unit.pan_tilt_reference import PanTiltReference
+from gyrorig_solver.model import STANDARD_GRAVITY_M_S2, BoardTemperature, RecordingContext, Site
+from gyrorig_solver.reference import PanTiltReference, ReferenceMotion
 
 
 def read_contexts(

@@ -16,22 +16,22 @@ import msgspec
 from gyrorig_protocol.errors import InputError, UsageError
 from gyrorig_protocol.identity import BoardId
 from gyrorig_protocol.recording.recording import Recording
-from gyrorig_solver.calibration.calibration_builder import build_calibration, settings_sha256
-from gyrorig_solver.calibration.calibration_document import (
+from gyrorig_solver.calibration import (
     CalibrationDocument,
-    FindingsReference,
-    calibration_as_yaml,
+    CalibrationStore,
+    StoredVersion,
+    find_profile,
 )
-from gyrorig_solver.calibration.calibration_store import CalibrationStore, StoredVersion
+from gyrorig_solver.calibration.calibration_builder import build_calibration, settings_sha256
+from gyrorig_solver.calibration.calibration_document import FindingsReference, calibration_as_yaml
 from gyrorig_solver.calibration.paper_calibration import (
     build_paper_calibration,
     solve_with_paper_method,
 )
 from gyrorig_solver.calibration.provenance import build_provenance
-from gyrorig_solver.calibration.sensor_profiles import find_profile
 from gyrorig_solver.calibration.total_uncertainty import with_total_uncertainty
-from gyrorig_solver.estimate.gyro_fit import GyroFit
-from gyrorig_solver.findings.findings_document import to_yaml as findings_yaml
+from gyrorig_solver.estimate import GyroFit
+from gyrorig_solver.findings import to_yaml as findings_yaml
 from gyrorig_solver.model.catalogue import catalogue
 from gyrorig_solver.pipeline.assessed_fit import AssessedFit, add_to_unit, assess_fit
 from gyrorig_solver.pipeline.board_data import BoardData, load_board

@@ -12,20 +12,17 @@ import numpy as np
 
 from gyrorig_protocol.errors import UsageError
 from gyrorig_protocol.recording.recording import Recording
-from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.data import FloatArray
 from gyrorig_solver.data.samples import GyroSamples
-from gyrorig_solver.estimate.fitted_term import FittedTerm, fixed_term, free_term
-from gyrorig_solver.estimate.likelihood_fit import fit_likelihood
+from gyrorig_solver.estimate import FittedTerm, SessionFit, fit_likelihood
+from gyrorig_solver.estimate.fitted_term import fixed_term, free_term
 from gyrorig_solver.estimate.series import build_series
-from gyrorig_solver.estimate.session_fit import SessionFit
 from gyrorig_solver.estimate.thermal_order import MIN_SPAN_K, choose_order
-from gyrorig_solver.model.catalogue import find_term
+from gyrorig_solver.model import RecordingContext, find_term, limit_to_recording
 from gyrorig_solver.model.causes.earth_rotation import earth_axis_in_base
 from gyrorig_solver.model.causes.thermal_bias import ThermalBias
-from gyrorig_solver.model.recording_context import RecordingContext
-from gyrorig_solver.model.recording_scope import limit_to_recording
 from gyrorig_solver.pipeline.recording_contexts import read_contexts
-from gyrorig_solver.reference.reference_motion import ReferenceMotion
+from gyrorig_solver.reference import ReferenceMotion
 
 LoadedRecordings = Sequence[tuple[Recording, GyroSamples, ReferenceMotion]]
 WINDOW_S = 5.0

@@ -13,7 +13,7 @@ import numpy as np
 
 from gyrorig_protocol.errors import UsageError
 from gyrorig_protocol.recording.recording import Recording
-from gyrorig_solver.calibration.calibration_document import UnitPriorRecord
+from gyrorig_solver.calibration import UnitPriorRecord
 from gyrorig_solver.calibration.unit_document import (
     UNIT_ID,
     CountedRecording,

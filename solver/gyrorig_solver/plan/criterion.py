@@ -4,9 +4,8 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from gyrorig_solver.data.arrays import FloatArray
-from gyrorig_solver.estimate.factor_covariance import propagate_to_factors
-from gyrorig_solver.estimate.observability import ObservabilityAnalysis
+from gyrorig_solver.data import FloatArray
+from gyrorig_solver.estimate import ObservabilityAnalysis, propagate_to_factors
 from gyrorig_solver.estimate.typical_board import TYPICAL_PARAMETERS
 
 Criterion = Literal["worst", "mean", "worst-factor", "mean-factor"]

@@ -13,12 +13,17 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.data import FloatArray
+from gyrorig_solver.model import (
+    SignalState,
+    Site,
+    Term,
+    components_of,
+    value_indices,
+    value_parameters,
+)
 from gyrorig_solver.model.catalogue import catalogue
-from gyrorig_solver.model.recording_context import Site
-from gyrorig_solver.model.signal_state import SignalState
-from gyrorig_solver.model.term import Term, components_of, value_indices, value_parameters
-from gyrorig_solver.numerics.distributions import detection_noncentrality
+from gyrorig_solver.numerics import detection_noncentrality
 from gyrorig_solver.plan.effect_information import EffectInformation, ReducedEffects
 from gyrorig_solver.plan.prediction import STATED_PARAMETERS, Prediction
 from gyrorig_solver.plan.scan_templates import (

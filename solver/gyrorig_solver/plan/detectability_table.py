@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from itertools import groupby
 from typing import Any
 
-from gyrorig_solver.model.parameter_units import display_unit, plural
+from gyrorig_solver.model import display_unit, plural
 from gyrorig_solver.plan.detectability import (
     CauseDetectability,
     ConfusablePair,

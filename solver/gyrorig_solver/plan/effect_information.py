@@ -8,17 +8,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gyrorig_solver.data.arrays import BoolArray, FloatArray
-from gyrorig_solver.estimate.information import PARAMETER_NAMES, marginalise
+from gyrorig_solver.data import BoolArray, FloatArray
+from gyrorig_solver.estimate import BASE_PARAMETERS, PARAMETER_NAMES, TYPICAL_MOUNT, marginalise
 from gyrorig_solver.estimate.linear.normal_equations import NormalEquationsSum
-from gyrorig_solver.estimate.noise.whitening import BASE_PARAMETERS, PartModel, WhitenedPart
+from gyrorig_solver.estimate.linear.whitening import PartModel, WhitenedPart
 from gyrorig_solver.estimate.observability import prior_std
 from gyrorig_solver.estimate.reference_prediction import (
     PartDerivatives,
     predict_derivatives,
     predict_rate,
 )
-from gyrorig_solver.estimate.typical_board import TYPICAL_MOUNT
 from gyrorig_solver.plan.prediction import Prediction
 from gyrorig_solver.plan.sensor_model import SensorModel
 

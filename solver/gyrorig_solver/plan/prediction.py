@@ -11,27 +11,28 @@ import numpy as np
 
 from gyrorig_protocol.errors import UsageError
 from gyrorig_protocol.program import MotionProgram
-from gyrorig_solver.data.arrays import FloatArray
-from gyrorig_solver.estimate.derived_parameters import DerivedParameters, derive_parameters
-from gyrorig_solver.estimate.gyro_fit import ObservabilityReport
-from gyrorig_solver.estimate.information import (
+from gyrorig_solver.data import FloatArray
+from gyrorig_solver.estimate import (
     PARAMETER_NAMES,
-    add_parameter_noise,
-    motion_information,
-)
-from gyrorig_solver.estimate.observability import (
+    TYPICAL_MOUNT,
+    UNIT_REMEDIES,
     ObservabilityAnalysis,
+    ObservabilityReport,
+    Series,
     analyse_observability,
+    choose_grids,
+    derive_parameters,
+    expected_estimate,
 )
-from gyrorig_solver.estimate.observability_remedies import UNIT_REMEDIES
-from gyrorig_solver.estimate.series import MIN_SERIES_BLOCKS, Series, choose_grids
-from gyrorig_solver.estimate.typical_board import TYPICAL_MOUNT, expected_estimate
-from gyrorig_solver.model.gain_matrix import FACTOR_NAMES, GAIN_NAMES, factor_jacobian, factorise
+from gyrorig_solver.estimate.derived_parameters import DerivedParameters
+from gyrorig_solver.estimate.information import add_parameter_noise, motion_information
+from gyrorig_solver.estimate.series import MIN_SERIES_BLOCKS
+from gyrorig_solver.model import FACTOR_NAMES, GAIN_NAMES, factor_jacobian, factorise
 from gyrorig_solver.plan.program_timeline import ProgramTimeline, simulate_program
 from gyrorig_solver.plan.sensor_model import SensorModel
 from gyrorig_solver.plan.unit_model import ARCSEC_PER_DEG, UnitModel
+from gyrorig_solver.reference import PanTiltReference
 from gyrorig_solver.reference.unit.move_fit import fit_moves
-from gyrorig_solver.reference.unit.pan_tilt_reference import PanTiltReference
 from gyrorig_solver.reference.unit.unit_moves import MotionReader
 
 CALIBRATION_PARAMETERS = (*FACTOR_NAMES, *PARAMETER_NAMES[9:])

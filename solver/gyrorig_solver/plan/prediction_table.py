@@ -5,7 +5,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from gyrorig_solver.model.parameter_units import PARAMETER_GROUPS, parameter_label, plural
+from gyrorig_solver.model import PARAMETER_GROUPS, parameter_label, plural
 from gyrorig_solver.plan.prediction import CALIBRATION_PARAMETERS, Prediction
 from gyrorig_solver.plan.total_prediction import TotalPrediction
 

@@ -19,7 +19,7 @@ import numpy as np
 
 from gyrorig_protocol.errors import UsageError
 from gyrorig_protocol.program import MotionProgram
-from gyrorig_solver.model.recording_context import Site
+from gyrorig_solver.model import Site
 from gyrorig_solver.plan.criterion import Criterion, bias_penalty, cost
 from gyrorig_solver.plan.detectability import DetectabilityReport, predict_detectability
 from gyrorig_solver.plan.prediction import Prediction, predict_program

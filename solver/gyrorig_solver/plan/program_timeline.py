@@ -13,14 +13,10 @@ from gyrorig_protocol.errors import UsageError
 from gyrorig_protocol.program import Home, MotionProgram, Move, Rest, unroll_steps
 from gyrorig_protocol.ptu import Axis, Quantity, assign_quantity
 from gyrorig_protocol.ptu.ptu_commands import IMMEDIATE_EXECUTION, SLAVED_EXECUTION
-from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.data import FloatArray
 from gyrorig_solver.plan.unit_model import ARCSEC_PER_DEG, AxisModel, UnitModel
-from gyrorig_solver.reference.unit.motion_profile import (
-    MotionLimits,
-    MotionProfile,
-    ProfileCommand,
-    plan_motion,
-)
+from gyrorig_solver.reference import MotionLimits, MotionProfile, plan_motion
+from gyrorig_solver.reference.unit.motion_profile import ProfileCommand
 from gyrorig_solver.reference.unit.move_fit import UnitPolls
 from gyrorig_solver.reference.unit.unit_moves import AXES, UnitExchange
 

@@ -15,7 +15,7 @@ from gyrorig_protocol.documents import convert_document, parse_yaml
 from gyrorig_protocol.errors import UsageError
 from gyrorig_protocol.profile import SensorProfile
 from gyrorig_protocol.ptu import Dialect
-from gyrorig_solver.model.recording_context import STANDARD_GRAVITY_M_S2, Site
+from gyrorig_solver.model import STANDARD_GRAVITY_M_S2, Site
 from gyrorig_solver.plan.sensor_model import SensorModel, build_sensor_model
 from gyrorig_solver.plan.unit_model import BITS_PER_BYTE, AxisModel, UnitModel, build_unit_model
 

@@ -9,14 +9,18 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gyrorig_solver.data.arrays import FloatArray, IntArray
+from gyrorig_solver.data import FloatArray, IntArray
+from gyrorig_solver.estimate import TYPICAL_MOUNT, Series
 from gyrorig_solver.estimate.reference_prediction import instants_per_block
-from gyrorig_solver.estimate.series import Series
-from gyrorig_solver.estimate.typical_board import TYPICAL_MOUNT
-from gyrorig_solver.model.board_temperature import BoardTemperature
-from gyrorig_solver.model.recording_context import RecordingContext, Site
-from gyrorig_solver.model.signal_state import SignalState
-from gyrorig_solver.model.term import Term, value_indices, value_parameters
+from gyrorig_solver.model import (
+    BoardTemperature,
+    RecordingContext,
+    SignalState,
+    Site,
+    Term,
+    value_indices,
+    value_parameters,
+)
 from gyrorig_solver.plan.prediction import SimulatedSession
 from gyrorig_solver.plan.sensor_model import SensorModel
 

@@ -7,9 +7,9 @@ import numpy as np
 from gyrorig_protocol.errors import UsageError
 from gyrorig_protocol.profile import SensorProfile
 from gyrorig_protocol.profile.sensor_profile import FullScaleRange
-from gyrorig_solver.data.arrays import FloatArray
-from gyrorig_solver.estimate.noise.noise_model import NoiseModel, Sampling, nominal_levels
-from gyrorig_solver.estimate.series import choose_grids
+from gyrorig_solver.data import FloatArray
+from gyrorig_solver.estimate import NoiseModel, choose_grids, nominal_levels
+from gyrorig_solver.estimate.noise.noise_model import Sampling
 
 
 @dataclass(frozen=True, slots=True, eq=False)

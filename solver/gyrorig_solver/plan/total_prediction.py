@@ -12,12 +12,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gyrorig_solver.data.arrays import BoolArray, FloatArray
-from gyrorig_solver.estimate.observability import ObservabilityAnalysis
+from gyrorig_solver.data import BoolArray, FloatArray
+from gyrorig_solver.estimate import ObservabilityAnalysis
+from gyrorig_solver.model import SignalState, Site, value_indices
 from gyrorig_solver.model.catalogue import catalogue
-from gyrorig_solver.model.recording_context import Site
-from gyrorig_solver.model.signal_state import SignalState
-from gyrorig_solver.model.term import value_indices
 from gyrorig_solver.plan.effect_information import EffectInformation
 from gyrorig_solver.plan.prediction import CALIBRATION_PARAMETERS, Prediction
 from gyrorig_solver.plan.scan_templates import signal_states

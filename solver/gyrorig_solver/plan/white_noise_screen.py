@@ -11,16 +11,15 @@ from collections.abc import Sequence
 import numpy as np
 
 from gyrorig_protocol.program import MotionProgram, Rest, Step
-from gyrorig_solver.data.arrays import FloatArray
-from gyrorig_solver.estimate.information import PARAMETER_NAMES, white_noise_information
-from gyrorig_solver.estimate.observability import analyse_observability
+from gyrorig_solver.data import FloatArray
+from gyrorig_solver.estimate import PARAMETER_NAMES, analyse_observability, white_noise_information
 from gyrorig_solver.plan.criterion import Criterion, bias_penalty, cost
 from gyrorig_solver.plan.program_family import STATIC_S, MotionSpace, ProgramDesign, Steps
 from gyrorig_solver.plan.program_timeline import HALT_WATCH_S, ProgramTimeline, simulate_program
 from gyrorig_solver.plan.sensor_model import SensorModel
 from gyrorig_solver.plan.unit_model import ARCSEC_PER_DEG, UnitModel
-from gyrorig_solver.reference.unit.rest_variance import DETENT_VARIANCE
-from gyrorig_solver.reference.unit.stage_kinematics import StageRateJacobian, stage_rate
+from gyrorig_solver.reference import DETENT_VARIANCE, StageRateJacobian
+from gyrorig_solver.reference.unit.stage_kinematics import stage_rate
 
 KIND_FIELDS = ("once", "poses", "passes", "swings", "along", "weave")
 GRID_HZ = 50.0  # motions of a unit change within tenths of a second

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gyrorig_protocol.errors import InputError
-from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.data import FloatArray
 from gyrorig_solver.reference.rotations import integrated_rate, relative_vectors
 
 # A longer step, in median steps, is a gap (a lost marker, a lost frame).

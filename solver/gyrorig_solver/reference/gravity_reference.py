@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gyrorig_protocol.errors import InputError
-from gyrorig_solver.data.arrays import BoolArray, FloatArray
+from gyrorig_solver.data import BoolArray, FloatArray
 from gyrorig_solver.reference.known_turns import TimeInterval
 
 VARIANCE_WINDOW_S = 1.0  # window of the variance (imu_tk: 101 samples at 100 Hz)

@@ -13,7 +13,7 @@ import numpy as np
 
 from gyrorig_protocol.errors import InputError
 from gyrorig_protocol.recording.messages import EventKind, SessionEvent
-from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.data import FloatArray
 
 ABORTED_TEXT = "aborted"  # text at the end of a phase that a fault interrupted
 

@@ -10,7 +10,7 @@ from typing import Protocol, Self
 
 import numpy as np
 
-from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.data import FloatArray
 from gyrorig_solver.numerics import ArrowheadMatrix
 
 

@@ -6,7 +6,7 @@ from typing import Self
 
 import numpy as np
 
-from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.data import FloatArray
 from gyrorig_solver.numerics import ArrowheadMatrix
 from gyrorig_solver.reference.known_turns import TimeInterval
 from gyrorig_solver.reference.reference_motion import EvaluatedMotion

@@ -9,7 +9,7 @@ attitudes. Single rotations: scipy's Rotation, or `model.gain_matrix` for the ma
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.data import FloatArray
 
 
 def prefix_products(vectors_rad: FloatArray) -> FloatArray:

@@ -9,7 +9,7 @@ from typing import Self
 
 import numpy as np
 
-from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.data import FloatArray
 
 MARGIN_SHARE = 0.05  # of the span, free at both ends
 STEPS = (1.0, 2.0, 2.5, 5.0, 10.0)

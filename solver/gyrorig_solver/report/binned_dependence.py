@@ -9,8 +9,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gyrorig_solver.data.arrays import BoolArray, FloatArray
-from gyrorig_solver.model.term import BinnedDependence, Quantity
+from gyrorig_solver.data import BoolArray, FloatArray
+from gyrorig_solver.model import BinnedDependence
+from gyrorig_solver.model.term import Quantity
 from gyrorig_solver.report.report_series import ReportSeries
 
 MIN_BLOCKS_PER_BIN = 12  # fewer give no reliable interval

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.data import FloatArray
 from gyrorig_solver.data.clocks.clock_trace import ClockTrace
-from gyrorig_solver.estimate.gyro_fit import FitDiagnostics
+from gyrorig_solver.estimate import FitDiagnostics
 from gyrorig_solver.report import integration_error
 from gyrorig_solver.report.figure_layout import (
     AXIS_COLOURS,

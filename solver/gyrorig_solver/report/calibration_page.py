@@ -13,7 +13,7 @@ from typing import Any
 import jinja2
 from markupsafe import Markup, escape
 
-from gyrorig_solver.calibration.calibration_document import CalibrationDocument
+from gyrorig_solver.calibration import CalibrationDocument
 from gyrorig_solver.calibration.calibration_wording import (
     VERDICT_TITLES,
     collapse_groups,

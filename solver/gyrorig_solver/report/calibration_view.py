@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
-from gyrorig_solver.calibration.calibration_document import CalibrationDocument
+from gyrorig_solver.calibration import CalibrationDocument
 from gyrorig_solver.calibration.calibration_wording import (
     axes_text,
     cause_groups,
@@ -19,8 +19,8 @@ from gyrorig_solver.calibration.calibration_wording import (
     white_noise_units,
 )
 from gyrorig_solver.calibration.uncertainty_wording import contribution_name
-from gyrorig_solver.estimate.gyro_fit import ClockQuality
-from gyrorig_solver.model.parameter_units import (
+from gyrorig_solver.estimate import ClockQuality
+from gyrorig_solver.model import (
     DEG_PER_RAD,
     PARAMETER_GROUPS,
     ParameterGroup,

@@ -8,9 +8,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.data import FloatArray
+from gyrorig_solver.model import BinnedDependence
 from gyrorig_solver.model.catalogue import catalogue
-from gyrorig_solver.model.term import BinnedDependence
 from gyrorig_solver.report.binned_dependence import (
     DEPENDENCE_OF_SIGNATURE,
     MIN_BLOCKS_PER_BIN,

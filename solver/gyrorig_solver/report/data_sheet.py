@@ -7,7 +7,7 @@ What to use when: `data_sheet_range` for a parameter's range, `data_sheet_white_
 import math
 
 from gyrorig_protocol.profile import SensorProfile
-from gyrorig_solver.model.parameter_units import format_short
+from gyrorig_solver.model import format_short
 
 _ALLAN_FLOOR = 0.664  # of the coefficient B: sqrt(2 ln 2 / pi), IEEE Std 952 annex C
 

@@ -9,7 +9,7 @@ line, `standalone_svg` for a figure in a separate file.
 
 import numpy as np
 
-from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.data import FloatArray
 from gyrorig_solver.report.svg_panels import Figure, Panel
 
 AXIS_COLOURS = ("var(--x)", "var(--y)", "var(--z)")

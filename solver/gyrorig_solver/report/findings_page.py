@@ -2,9 +2,8 @@
 
 from collections.abc import Mapping
 
-from gyrorig_solver.discover.cause_findings import CauseFindings
-from gyrorig_solver.findings import FindingsDocument
-from gyrorig_solver.findings.findings_builder import UNEXPLAINED_FIGURE, figure_key
+from gyrorig_solver.discover import CauseFindings
+from gyrorig_solver.findings import UNEXPLAINED_FIGURE, FindingsDocument, figure_key
 from gyrorig_solver.report import cause_figures
 from gyrorig_solver.report.calibration_page import fill_template
 from gyrorig_solver.report.findings_view import findings_view

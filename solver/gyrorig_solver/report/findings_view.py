@@ -3,29 +3,27 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from gyrorig_solver.findings import FindingsDocument
-from gyrorig_solver.findings.findings_builder import UNEXPLAINED_FIGURE, figure_key
-from gyrorig_solver.findings.findings_document import CauseEntry, ChangeEntry, GainEntry
-from gyrorig_solver.findings.findings_wording import (
+from gyrorig_solver.findings import (
+    UNEXPLAINED_FIGURE,
+    CauseEntry,
+    FindingsDocument,
     amount_text,
+    figure_key,
+    place_text,
+)
+from gyrorig_solver.findings.findings_document import ChangeEntry, GainEntry
+from gyrorig_solver.findings.findings_wording import (
     cause_headline,
     cause_title,
     display_unit,
     main_size_text,
     p_value_text,
     parameter_bias_sigma,
-    place_text,
     size_text,
     verdict_words,
 )
+from gyrorig_solver.model import DEG_PER_RAD, format_quantity, format_short, group_of, plural
 from gyrorig_solver.model.catalogue import catalogue
-from gyrorig_solver.model.parameter_units import (
-    DEG_PER_RAD,
-    format_quantity,
-    format_short,
-    group_of,
-    plural,
-)
 
 MIN_SHIFT_SIGMA, MIN_ROWS = 0.3, 2  # smaller changes of parameters are shown in two rows only
 TONES = {"adequate": "good", "explained": "limited", "unexplained": "refused"}

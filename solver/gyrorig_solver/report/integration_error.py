@@ -9,7 +9,7 @@ N gives N^2 / (2 tau), a bias instability B gives (0.664 B)^2, a random walk K g
 
 import numpy as np
 
-from gyrorig_solver.data.arrays import BoolArray, FloatArray
+from gyrorig_solver.data import BoolArray, FloatArray
 
 SPAN_COUNT = 36  # integration times
 _MIN_WINDOWS = 5  # complete windows of the longest span

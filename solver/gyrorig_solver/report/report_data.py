@@ -8,8 +8,8 @@ A part that is None omits its section.
 from dataclasses import dataclass
 
 from gyrorig_protocol.profile import SensorProfile
-from gyrorig_solver.calibration.calibration_document import CalibrationDocument
-from gyrorig_solver.estimate.gyro_fit import ClockQuality, FitDiagnostics
+from gyrorig_solver.calibration import CalibrationDocument
+from gyrorig_solver.estimate import ClockQuality, FitDiagnostics
 
 
 @dataclass(frozen=True, slots=True, eq=False)

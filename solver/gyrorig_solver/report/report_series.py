@@ -10,17 +10,20 @@ from functools import partial
 
 import numpy as np
 
-from gyrorig_solver.data.arrays import BoolArray, FloatArray
+from gyrorig_solver.data import BoolArray, FloatArray
+from gyrorig_solver.discover import FitExplanation, NamedCause
 from gyrorig_solver.discover.attitude.explain_attitudes import AttitudeExplanation
-from gyrorig_solver.discover.cause_findings import FitExplanation, NamedCause
-from gyrorig_solver.estimate.cascade import total_effect
-from gyrorig_solver.estimate.converged_fit import ConvergedFit
-from gyrorig_solver.estimate.fitted_term import FittedTerm
-from gyrorig_solver.estimate.noise.noise_model import Periodogram, bin_spectrum
-from gyrorig_solver.estimate.session_fit import SessionFit
+from gyrorig_solver.estimate import (
+    ConvergedFit,
+    FittedTerm,
+    Periodogram,
+    SessionFit,
+    bin_spectrum,
+    total_effect,
+)
 from gyrorig_solver.estimate.session_noise import session_periodograms
-from gyrorig_solver.findings.findings_builder import figure_key
-from gyrorig_solver.model.signal_state import SignalState
+from gyrorig_solver.findings import figure_key
+from gyrorig_solver.model import SignalState
 
 GAP_BETWEEN_RECORDINGS_S = 1.0  # shown between two recordings
 

@@ -9,17 +9,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gyrorig_solver.calibration.calibration_document import CalibrationDocument
+from gyrorig_solver.calibration import CalibrationDocument
 from gyrorig_solver.calibration.calibration_wording import (
     determined_text,
     value_std_pairs,
 )
-from gyrorig_solver.data.arrays import FloatArray
-from gyrorig_solver.estimate.gyro_fit import FitDiagnostics
-from gyrorig_solver.model.parameter_units import (
-    format_short,
-    plural,
-)
+from gyrorig_solver.data import FloatArray
+from gyrorig_solver.estimate import FitDiagnostics
+from gyrorig_solver.model import format_short, plural
 from gyrorig_solver.report.report_data import ReportData
 
 SINGULAR_CONDITION = 1e6  # above it a sensor matrix is not inverted; the paper's method gives some

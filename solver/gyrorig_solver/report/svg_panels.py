@@ -10,7 +10,7 @@ from html import escape
 
 import numpy as np
 
-from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.data import FloatArray
 from gyrorig_solver.report.axis_ticks import Axis
 
 WIDTH = 532.8  # of a figure, points of 1/72 inch

@@ -8,12 +8,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gyrorig_solver.data.arrays import FloatArray, IntArray
-from gyrorig_solver.estimate.converged_fit import ConvergedFit
-from gyrorig_solver.estimate.nuisance_space import ScoreStatistics
-from gyrorig_solver.estimate.parameter_layout import GAIN_PARAMETERS, SESSION_PARAMETERS
+from gyrorig_solver.data import FloatArray, IntArray
+from gyrorig_solver.estimate import (
+    GAIN_PARAMETERS,
+    SESSION_PARAMETERS,
+    ConvergedFit,
+    ScoreStatistics,
+)
 from gyrorig_solver.estimate.uncertainty_widening import widen_uncertainty
-from gyrorig_solver.model.term import value_indices
+from gyrorig_solver.model import value_indices
 from gyrorig_solver.uncertainty.prior_effects import UnidentifiedCause
 from gyrorig_solver.uncertainty.uncertainty_settings import UncertaintySettings
 from gyrorig_solver.uncertainty.unit_values import (

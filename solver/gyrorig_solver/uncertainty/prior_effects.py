@@ -19,15 +19,19 @@ from functools import partial
 
 import numpy as np
 
-from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.data import FloatArray
 from gyrorig_solver.discover.testable_terms import testable_instances
-from gyrorig_solver.estimate.fitted_term import FittedTerm
-from gyrorig_solver.estimate.nuisance_projector import NuisanceProjector
-from gyrorig_solver.estimate.whitened_signals import WhitenedSignals, join_signals
+from gyrorig_solver.estimate import FittedTerm, NuisanceProjector, WhitenedSignals, join_signals
+from gyrorig_solver.model import (
+    SignalState,
+    Term,
+    components_of,
+    is_active_in,
+    start_values,
+    term_label,
+    value_indices,
+)
 from gyrorig_solver.model.catalogue import catalogue
-from gyrorig_solver.model.recording_scope import is_active_in, term_label
-from gyrorig_solver.model.signal_state import SignalState
-from gyrorig_solver.model.term import Term, components_of, start_values, value_indices
 from gyrorig_solver.uncertainty.uncertainty_settings import PriorSize, UncertaintySettings
 
 # Templates that represent one cause: of its times, and of its other shapes.

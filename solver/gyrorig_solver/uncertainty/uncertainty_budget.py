@@ -8,19 +8,19 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gyrorig_solver.data.arrays import FloatArray
-from gyrorig_solver.discover.calibration_changes import (
-    CALIBRATION_PARAMETERS,
-    CalibrationValues,
-    last_recording_part,
+from gyrorig_solver.data import FloatArray
+from gyrorig_solver.discover import CALIBRATION_PARAMETERS
+from gyrorig_solver.discover.calibration_changes import CalibrationValues, last_recording_part
+from gyrorig_solver.estimate import (
+    GAIN_PARAMETERS,
+    SESSION_PARAMETERS,
+    ConvergedFit,
+    NuisanceProjector,
+    ScoreStatistics,
+    join_signals,
 )
-from gyrorig_solver.estimate.converged_fit import ConvergedFit
 from gyrorig_solver.estimate.corrected_fit import FitCorrection
-from gyrorig_solver.estimate.nuisance_projector import NuisanceProjector
-from gyrorig_solver.estimate.nuisance_space import ScoreStatistics
-from gyrorig_solver.estimate.parameter_layout import GAIN_PARAMETERS, SESSION_PARAMETERS
-from gyrorig_solver.estimate.whitened_signals import join_signals
-from gyrorig_solver.model.term import Term
+from gyrorig_solver.model import Term
 from gyrorig_solver.uncertainty.fit_linearisation import linearise_fit
 from gyrorig_solver.uncertainty.marginal_covariance import MarginalCauses
 from gyrorig_solver.uncertainty.prior_effects import (

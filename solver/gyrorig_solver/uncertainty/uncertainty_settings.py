@@ -19,9 +19,7 @@ import msgspec
 
 from gyrorig_protocol.documents import convert_document, parse_yaml
 from gyrorig_protocol.errors import UsageError
-from gyrorig_solver.model.catalogue import find_term
-from gyrorig_solver.model.parameter_units import PARAMETER_GROUPS, display_unit
-from gyrorig_solver.model.term import Term
+from gyrorig_solver.model import PARAMETER_GROUPS, Term, display_unit, find_term
 
 SCHEMA = "gyrorig/uncertainty/1"
 NonNegative = Annotated[float, msgspec.Meta(ge=0.0)]

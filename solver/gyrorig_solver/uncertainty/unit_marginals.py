@@ -21,7 +21,7 @@ from typing import Self
 
 import numpy as np
 
-from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.data import FloatArray
 from gyrorig_solver.uncertainty.fit_linearisation import FitLinearisation
 from gyrorig_solver.uncertainty.unit_values import UnitInformation, UnitPosterior
 

@@ -15,11 +15,16 @@ from typing import Self
 
 import numpy as np
 
-from gyrorig_solver.data.arrays import FloatArray
-from gyrorig_solver.estimate.fitted_term import FittedTerm
+from gyrorig_solver.data import FloatArray
+from gyrorig_solver.estimate import FittedTerm
+from gyrorig_solver.model import (
+    Term,
+    recording_index_of,
+    value_indices,
+    value_labels,
+    value_parameters,
+)
 from gyrorig_solver.model.catalogue import catalogue
-from gyrorig_solver.model.recording_scope import recording_index_of, value_labels
-from gyrorig_solver.model.term import Term, value_indices, value_parameters
 from gyrorig_solver.uncertainty.uncertainty_settings import UncertaintySettings
 
 # A fitted shape that is farther from the card's start value describes another effect, such as a

@@ -24,8 +24,7 @@ from tests.bench.accuracy.summary import Row, Summary
 from tests.bench.accuracy.trial import HEAD_S, PROGRAMS, TAIL_S, load_program, truth
 from tests.bench.accuracy.unit import carry_out
 
-from gyrorig_solver.estimate.motion_fit import fit_motion
-from gyrorig_solver.estimate.observability_remedies import UNIT_REMEDIES
+from gyrorig_solver.estimate import UNIT_REMEDIES, fit_motion
 
 RATE_HZ, BANDWIDTH_HZ, BAUD = 100.0, 25.0, 115_200.0
 FIRST_SEED = 4  # other cases begin their seeds with their number, 1 to 3

@@ -13,7 +13,8 @@ from tests.bench.accuracy.unit import COUNTER_HZ, Session
 from gyrorig_solver.data.clocks.clock_map import ClockMap
 from gyrorig_solver.data.samples import GyroSamples
 from gyrorig_solver.numerics import ArrowheadMatrix
-from gyrorig_solver.reference.reference_motion import EvaluatedMotion, ReferenceMotion
+from gyrorig_solver.reference import ReferenceMotion
+from gyrorig_solver.reference.reference_motion import EvaluatedMotion
 from gyrorig_solver.reference.unit.controller_counter import counter_instants
 from gyrorig_solver.reference.unit.move_fit import UnitPolls
 from gyrorig_solver.reference.unit.pan_tilt_recording import choose_reference

@@ -14,11 +14,9 @@ from tests.bench.accuracy.profile import FloatArray
 from tests.bench.accuracy.unit import Session, carry_out
 
 from gyrorig_protocol.program import MotionProgram, parse_program
-from gyrorig_solver.estimate.converged_fit import ConvergedFit
-from gyrorig_solver.estimate.gyro_fit import GyroFit
-from gyrorig_solver.estimate.motion_fit import fit_motion, solve_motion
-from gyrorig_solver.estimate.observability_remedies import UNIT_REMEDIES
-from gyrorig_solver.reference.reference_motion import ReferenceMotion
+from gyrorig_solver.estimate import UNIT_REMEDIES, ConvergedFit, GyroFit, fit_motion
+from gyrorig_solver.estimate.motion_fit import solve_motion
+from gyrorig_solver.reference import ReferenceMotion
 
 PROGRAMS = File(__file__).resolve().parents[3] / "config" / "programs"
 HEAD_S, TAIL_S = 0.5, 0.4  # of polls without samples at both ends

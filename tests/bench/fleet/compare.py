@@ -16,8 +16,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[3]))
 import numpy as np
 from tests.bench.fleet.parts import ERROR, SCATTER, SPREAD
 
-from gyrorig_solver.fleet.drift.fleet_overview import PARAMETER_COLUMNS
-from gyrorig_solver.fleet.store.store_index import StoreIndex
+from gyrorig_solver.fleet.drift import PARAMETER_COLUMNS
+from gyrorig_solver.fleet.store import StoreIndex
 
 
 def figures(store: Path, nights: int) -> dict[str, tuple[float, ...]]:

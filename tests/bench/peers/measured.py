@@ -20,9 +20,8 @@ from tests.bench.peers.methods import OURS, peers
 from tests.bench.peers.recording import Table
 from tests.support.rotation_error import window_rotation_error
 
-from gyrorig_solver.estimate.attitude.attitude_fit import fit_attitude
-from gyrorig_solver.estimate.turn_fit import fit_turns
-from gyrorig_solver.reference.known_turns import TurnReference
+from gyrorig_solver.estimate import fit_attitude, fit_turns
+from gyrorig_solver.reference import TurnReference
 
 SETS = ("broad", "imu-tk-xsens", "imucal-ferraris")
 WINDOW_S = 1.0

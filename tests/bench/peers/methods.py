@@ -17,16 +17,15 @@ from tests.bench.accuracy.profile import FloatArray
 from tests.bench.peers import factor_graph
 from tests.bench.peers.recording import Recording, Table
 
-from gyrorig_solver.estimate import rest_to_rest
-from gyrorig_solver.estimate.motion_fit import fit_motion
-from gyrorig_solver.estimate.observability import analyse_observability
-from gyrorig_solver.estimate.observability_remedies import UNIT_REMEDIES
-from gyrorig_solver.estimate.paper.paper_matrices import gain_by_pseudoinverse
-from gyrorig_solver.estimate.paper.paper_method import (
-    READING_OF_TABLE_3,
-    PaperReading,
+from gyrorig_solver.estimate import (
+    UNIT_REMEDIES,
+    analyse_observability,
     calibrate_as_printed,
+    fit_motion,
+    rest_to_rest,
 )
+from gyrorig_solver.estimate.paper.paper_matrices import gain_by_pseudoinverse
+from gyrorig_solver.estimate.paper.paper_method import READING_OF_TABLE_3, PaperReading
 
 STILL_RAD_S = 1e-3
 ROUNDS = 3  # of Gauss-Newton; two are enough

@@ -18,7 +18,7 @@ from tests.bench.accuracy.unit import Session, carry_out
 
 from gyrorig_protocol.program import parse_program
 from gyrorig_solver.data.samples import GyroSamples
-from gyrorig_solver.reference.reference_motion import ReferenceMotion
+from gyrorig_solver.reference import ReferenceMotion
 
 BoolArray = NDArray[np.bool_]
 BAUD = 115_200.0

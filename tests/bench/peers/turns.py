@@ -18,8 +18,9 @@ from tests.bench.accuracy.noise import Covariance, low_pass, wander
 from tests.bench.accuracy.profile import FloatArray
 
 from gyrorig_solver.data.samples import GyroSamples
-from gyrorig_solver.estimate.turn_fit import fit_turns
-from gyrorig_solver.reference.known_turns import KnownTurn, TimeInterval, TurnReference
+from gyrorig_solver.estimate import fit_turns
+from gyrorig_solver.reference import TimeInterval, TurnReference
+from gyrorig_solver.reference.known_turns import KnownTurn
 
 OURS, IMUCAL = "gyrorig, known turns", "imucal, Ferraris"
 SECONDS = 75.0

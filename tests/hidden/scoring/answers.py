@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from gyrorig_solver.discover.calibration_changes import CALIBRATION_PARAMETERS
-from gyrorig_solver.model.gain_matrix import factorise
+from gyrorig_solver.discover import CALIBRATION_PARAMETERS
+from gyrorig_solver.model import factorise
 
 SCHEMAS = ("gyrorig/hidden-answer/2", "gyrorig/hidden-answer/1")  # the first: with sizes counted
 ANSWER, SEAL, RECORDING = "answer.json", "sealed.txt", "recording.mcap"

@@ -27,8 +27,7 @@ from gyrorig_solver.discover.candidate_fits import fit_best_place
 from gyrorig_solver.discover.score_tests import CandidateScore, scan_catalogue
 from gyrorig_solver.discover.template_choice import all_templates
 from gyrorig_solver.discover.testable_terms import count_tests, testable_terms
-from gyrorig_solver.estimate.converged_fit import ConvergedFit
-from gyrorig_solver.estimate.nuisance_projector import NuisanceProjector
+from gyrorig_solver.estimate import ConvergedFit, NuisanceProjector
 from gyrorig_solver.model.catalogue import catalogue
 
 LEAST = 0.3  # minimum share of the true energy that the base model must leave

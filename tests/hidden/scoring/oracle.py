@@ -16,11 +16,10 @@ from tests.hidden.scoring.answers import HELD, HELD_RATES, opened
 from tests.hidden.scoring.figures import Gap
 
 from gyrorig_protocol.recording.reader import read_recording
-from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.data import FloatArray
 from gyrorig_solver.data.samples import GyroSamples, load_samples
-from gyrorig_solver.discover.cause_findings import FitExplanation
-from gyrorig_solver.estimate.converged_fit import ConvergedFit
-from gyrorig_solver.estimate.parameter_layout import GAIN_PARAMETERS
+from gyrorig_solver.discover import FitExplanation
+from gyrorig_solver.estimate import GAIN_PARAMETERS, ConvergedFit
 from gyrorig_solver.model.catalogue import catalogue
 from gyrorig_solver.pipeline.prepare_board import prepare_held_out
 

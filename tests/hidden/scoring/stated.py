@@ -14,19 +14,28 @@ import numpy as np
 
 from gyrorig_protocol.recording.reader import read_recording
 from gyrorig_protocol.recording.recording import Recording
-from gyrorig_solver.calibration.sensor_profiles import find_profile
-from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.calibration import find_profile
+from gyrorig_solver.data import FloatArray
 from gyrorig_solver.data.samples import load_samples
 from gyrorig_solver.data.stream.gain_checks import check_gain
 from gyrorig_solver.data.stream.stream_checks import check_stream
-from gyrorig_solver.discover.calibration_changes import CALIBRATION_PARAMETERS, CalibrationValues
-from gyrorig_solver.discover.cause_findings import CauseFindings, FitExplanation, NamedCause
-from gyrorig_solver.estimate.converged_fit import ConvergedFit
-from gyrorig_solver.estimate.parameter_layout import GAIN_PARAMETERS, SESSION_PARAMETERS
-from gyrorig_solver.findings import FindingsDocument, build_findings_document, findings_summary
+from gyrorig_solver.discover import (
+    CALIBRATION_PARAMETERS,
+    CauseFindings,
+    FitExplanation,
+    NamedCause,
+)
+from gyrorig_solver.discover.calibration_changes import CalibrationValues
+from gyrorig_solver.estimate import GAIN_PARAMETERS, SESSION_PARAMETERS, ConvergedFit
+from gyrorig_solver.findings import (
+    CauseEntry,
+    FindingsDocument,
+    build_findings_document,
+    findings_summary,
+)
 from gyrorig_solver.findings.findings_builder import FindingsOrigin, RawChecks
-from gyrorig_solver.findings.findings_document import BoardEntry, CauseEntry, InputEntry
-from gyrorig_solver.model.term import value_indices, value_names
+from gyrorig_solver.findings.findings_document import BoardEntry, InputEntry
+from gyrorig_solver.model import value_indices, value_names
 from gyrorig_solver.pipeline.explain_board import explain_recordings
 
 Look = Callable[[Sequence[Recording], str], FitExplanation]

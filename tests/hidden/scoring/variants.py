@@ -17,20 +17,19 @@ import numpy as np
 from tests.hidden.scoring.stated import Look, StatedExplanation
 
 from gyrorig_protocol.recording.recording import Recording
-from gyrorig_solver.data.arrays import FloatArray
-from gyrorig_solver.discover.cause_findings import FitExplanation
+from gyrorig_solver.data import FloatArray
+from gyrorig_solver.discover import FitExplanation
 from gyrorig_solver.discover.score_tests import scan_catalogue
 from gyrorig_solver.discover.testable_terms import count_tests, testable_terms
-from gyrorig_solver.estimate.converged_fit import ConvergedFit
-from gyrorig_solver.estimate.noise.noise_model import (
+from gyrorig_solver.estimate import (
+    ConvergedFit,
     NoiseModel,
-    Sampling,
+    NuisanceProjector,
+    ScoreStatistics,
     Spectrum,
-    fit_noise_levels,
+    WhitenedSignals,
 )
-from gyrorig_solver.estimate.nuisance_projector import NuisanceProjector
-from gyrorig_solver.estimate.nuisance_space import ScoreStatistics
-from gyrorig_solver.estimate.whitened_signals import WhitenedSignals
+from gyrorig_solver.estimate.noise.noise_model import Sampling, fit_noise_levels
 from gyrorig_solver.model.catalogue import catalogue
 from gyrorig_solver.pipeline import explain_board
 

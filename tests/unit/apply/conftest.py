@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 import yaml
 
-from gyrorig_solver.calibration.calibration_document import CalibrationDocument, parse_calibration
+from gyrorig_solver.calibration import CalibrationDocument, parse_calibration
 
 GOLDEN = Path(__file__).parents[1] / "output" / "golden"
 

@@ -10,7 +10,7 @@ import pytest
 from gyrorig_solver import Calibration, cli
 from gyrorig_solver.apply import corrected_table
 from gyrorig_solver.apply.corrected_table import TableColumns, apply_to_table
-from gyrorig_solver.calibration.calibration_document import CalibrationDocument as Document
+from gyrorig_solver.calibration import CalibrationDocument as Document
 from gyrorig_solver.calibration.calibration_document import calibration_as_yaml
 
 Captured = pytest.CaptureFixture[str]

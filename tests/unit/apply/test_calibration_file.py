@@ -9,7 +9,7 @@ import yaml
 from gyrorig_protocol.errors import InputError
 from gyrorig_solver import Calibration, cli
 from gyrorig_solver.apply import read_calibration
-from gyrorig_solver.calibration.calibration_document import CalibrationDocument
+from gyrorig_solver.calibration import CalibrationDocument
 
 Captured = pytest.CaptureFixture[str]
 

@@ -15,7 +15,7 @@ from pymavlink.mavparm import MAVParmDict  # type: ignore[import-untyped]
 
 from gyrorig_protocol.errors import InputError, UsageError
 from gyrorig_solver import cli
-from gyrorig_solver.calibration.calibration_document import CalibrationDocument
+from gyrorig_solver.calibration import CalibrationDocument
 from gyrorig_solver.export import FORMATS, ExportOptions, ExportSource, export_text
 from gyrorig_solver.export.c_header import FixedPoint, c_header, largest_count
 from gyrorig_solver.export.flight_controllers import shift_polynomial

@@ -9,16 +9,10 @@ import pytest
 import yaml
 
 from gyrorig_protocol.errors import InputError
-from gyrorig_solver.apply import Frame
-from gyrorig_solver.apply.correction import FRAMES
-from gyrorig_solver.calibration.calibration_document import CalibrationDocument
-from gyrorig_solver.estimate.noise.noise_model import (
-    Periodogram,
-    Sampling,
-    bin_spectrum,
-    fit_noise_levels,
-    unit_densities,
-)
+from gyrorig_solver.apply import FRAMES, Frame
+from gyrorig_solver.calibration import CalibrationDocument
+from gyrorig_solver.estimate import Periodogram, bin_spectrum, unit_densities
+from gyrorig_solver.estimate.noise.noise_model import Sampling, fit_noise_levels
 from gyrorig_solver.export import ExportOptions, ExportSource, export_text
 
 DocumentFactory = Callable[..., CalibrationDocument]

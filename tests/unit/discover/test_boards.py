@@ -13,7 +13,7 @@ import pytest
 
 from gyrorig_protocol.errors import InputError
 from gyrorig_protocol.identity import BoardId
-from gyrorig_solver.discover.boards.joint_explanation import explain_jointly
+from gyrorig_solver.discover import FitExplanation, explain_jointly
 from gyrorig_solver.discover.boards.joint_projector import (
     JointProjector,
     LocalQuadratic,
@@ -21,13 +21,10 @@ from gyrorig_solver.discover.boards.joint_projector import (
     prior_from_others,
 )
 from gyrorig_solver.discover.boards.scope_hypotheses import possible_owner
-from gyrorig_solver.discover.cause_findings import FitExplanation
 from gyrorig_solver.discover.cause_search import search_causes
 from gyrorig_solver.discover.held_out_gain import gain_on_recording
 from gyrorig_solver.discover.motion_space import MotionFitSpace
-from gyrorig_solver.estimate.converged_fit import ConvergedFit
-from gyrorig_solver.estimate.nuisance_projector import NuisanceProjector
-from gyrorig_solver.estimate.whitened_signals import WhitenedSignals
+from gyrorig_solver.estimate import ConvergedFit, NuisanceProjector, WhitenedSignals
 from gyrorig_solver.model.catalogue import catalogue
 from gyrorig_solver.pipeline import explain_boards
 from gyrorig_solver.pipeline.explain_board import BoardExplanation

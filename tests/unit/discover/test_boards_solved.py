@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from gyrorig_protocol.identity import BoardId
-from gyrorig_solver.pipeline import CriticisedFit
-from gyrorig_solver.pipeline.criticised_fit import AUTO, fit_together
+from gyrorig_solver.pipeline import AUTO, CriticisedFit, fit_together
 
 pytestmark = pytest.mark.long
 

@@ -15,12 +15,8 @@ from gyrorig_solver.discover.extended_fit import GainChange, refit_gain_exactly
 from gyrorig_solver.discover.motion_space import MotionFitSpace
 from gyrorig_solver.discover.score_tests import scan_catalogue
 from gyrorig_solver.discover.template_choice import all_templates
-from gyrorig_solver.estimate.converged_fit import ConvergedFit
-from gyrorig_solver.estimate.fitted_term import FittedTerm
-from gyrorig_solver.estimate.likelihood_fit import refit_with_terms
-from gyrorig_solver.estimate.nuisance_projector import NuisanceProjector
-from gyrorig_solver.model.catalogue import find_term
-from gyrorig_solver.model.term import value_indices
+from gyrorig_solver.estimate import ConvergedFit, FittedTerm, NuisanceProjector, refit_with_terms
+from gyrorig_solver.model import find_term, value_indices
 from gyrorig_solver.pipeline.prepare_board import fit_base_model
 
 Fit = Callable[[str], ConvergedFit]

@@ -6,15 +6,11 @@ from typing import Any
 
 import pytest
 
-from gyrorig_solver.discover import motion_space
+from gyrorig_solver.discover import explain_fit, motion_space
 from gyrorig_solver.discover.cause_search import search_causes
-from gyrorig_solver.discover.fit_explanation import explain_fit
 from gyrorig_solver.discover.model_evidence import best_model
 from gyrorig_solver.discover.motion_space import MotionFitSpace
-from gyrorig_solver.estimate.converged_fit import ConvergedFit
-from gyrorig_solver.estimate.fitted_term import FittedTerm
-from gyrorig_solver.estimate.likelihood_fit import refit_with_terms
-from gyrorig_solver.estimate.trust_region import Convergence
+from gyrorig_solver.estimate import ConvergedFit, Convergence, FittedTerm, refit_with_terms
 from gyrorig_solver.pipeline.prepare_board import fit_base_model
 
 HIDDEN = "backlash@tilt:0.0015"

@@ -10,11 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from gyrorig_solver.discover import cause_search
-from gyrorig_solver.discover.cause_findings import FitExplanation
-from gyrorig_solver.estimate.nuisance_projector import NuisanceProjector
-from gyrorig_solver.estimate.nuisance_space import ScoreStatistics
-from gyrorig_solver.estimate.whitened_signals import WhitenedSignals
+from gyrorig_solver.discover import FitExplanation, cause_search
+from gyrorig_solver.estimate import NuisanceProjector, ScoreStatistics, WhitenedSignals
 from gyrorig_solver.pipeline.explain_board import explain_recordings
 
 FAR = 4.0  # standard deviations: one in 16 000

@@ -14,8 +14,7 @@ from gyrorig_solver.discover.checks.residual_dependence import (
     smooth_function_evidence,
 )
 from gyrorig_solver.discover.checks.smooth_alternatives import smooth_families
-from gyrorig_solver.estimate.nuisance_projector import NuisanceProjector
-from gyrorig_solver.estimate.nuisance_space import ScoreStatistics
+from gyrorig_solver.estimate import NuisanceProjector, ScoreStatistics
 from gyrorig_solver.pipeline.prepare_board import fit_base_model
 
 N, DRAWS = 200, 1500

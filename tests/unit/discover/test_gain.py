@@ -6,9 +6,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from gyrorig_solver.discover.cause_findings import FitExplanation
+from gyrorig_solver.discover import FitExplanation
 from gyrorig_solver.discover.held_out_gain import cross_validate_causes
-from gyrorig_solver.estimate.nuisance_projector import NuisanceProjector
+from gyrorig_solver.estimate import NuisanceProjector
 from gyrorig_solver.pipeline.explain_board import explain_recordings
 
 pytestmark = pytest.mark.long

@@ -11,16 +11,15 @@ import pytest
 from tests.unit.discover.conftest import ROOT
 
 from gyrorig_protocol.identity import BoardId
+from gyrorig_solver.estimate import ConvergedFit, fit_boards_jointly, refit_with_terms
 from gyrorig_solver.estimate.board_fit import BoardFit
-from gyrorig_solver.estimate.converged_fit import ConvergedFit
 from gyrorig_solver.estimate.executed_motion import law_columns
 from gyrorig_solver.estimate.fit_segments import negative_log_likelihood
 from gyrorig_solver.estimate.fitted_term import free_term
 from gyrorig_solver.estimate.information import RecordingEquations
-from gyrorig_solver.estimate.likelihood_fit import LikelihoodFit, refit_with_terms
-from gyrorig_solver.estimate.multi_board_fit import fit_boards_jointly
+from gyrorig_solver.estimate.likelihood_fit import LikelihoodFit
 from gyrorig_solver.estimate.trust_region import ProposedStep
-from gyrorig_solver.model.catalogue import find_term
+from gyrorig_solver.model import find_term
 from gyrorig_solver.pipeline.prepare_board import fit_base_model
 
 SEEDS = (1, 2, 3)

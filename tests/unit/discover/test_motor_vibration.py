@@ -7,8 +7,7 @@ from typing import Any
 import numpy as np
 from scipy import signal
 
-from gyrorig_solver.discover.cause_findings import FitExplanation
-from gyrorig_solver.discover.fit_explanation import explain_fit
+from gyrorig_solver.discover import FitExplanation, explain_fit
 from gyrorig_solver.pipeline.board_data import BoardData, load_board
 from gyrorig_solver.pipeline.prepare_board import fit_base
 

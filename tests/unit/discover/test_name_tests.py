@@ -21,8 +21,7 @@ from gyrorig_solver.discover.checks.specification_tests import (
 from gyrorig_solver.discover.motion_space import MotionFitSpace
 from gyrorig_solver.discover.score_tests import scan_catalogue
 from gyrorig_solver.discover.template_choice import all_templates
-from gyrorig_solver.estimate.converged_fit import ConvergedFit
-from gyrorig_solver.estimate.nuisance_projector import NuisanceProjector
+from gyrorig_solver.estimate import ConvergedFit, NuisanceProjector
 from gyrorig_solver.model.catalogue import catalogue
 from gyrorig_solver.pipeline.prepare_board import fit_base_model
 

@@ -7,16 +7,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from gyrorig_solver.data.arrays import FloatArray
-from gyrorig_solver.estimate.nuisance_projector import NuisanceProjector
-from gyrorig_solver.estimate.whitened_signals import WhitenedSignals, join_signals
-from gyrorig_solver.model.signal_arrays import (
-    AxisBiases,
-    Signals,
-    dense_signals,
-    weighted_sum,
-)
-from gyrorig_solver.model.signal_state import SignalState
+from gyrorig_solver.data import FloatArray
+from gyrorig_solver.estimate import NuisanceProjector, WhitenedSignals, join_signals
+from gyrorig_solver.model import AxisBiases, Signals, SignalState, dense_signals
+from gyrorig_solver.model.signal_arrays import weighted_sum
 from gyrorig_solver.pipeline.prepare_board import fit_base_model
 
 

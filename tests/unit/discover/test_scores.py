@@ -9,8 +9,7 @@ import pytest
 from gyrorig_solver.discover import score_tests
 from gyrorig_solver.discover.score_tests import ScoreTest, scan_catalogue
 from gyrorig_solver.discover.template_choice import quick_templates
-from gyrorig_solver.estimate.nuisance_projector import NuisanceProjector
-from gyrorig_solver.estimate.whitened_signals import WhitenedSignals
+from gyrorig_solver.estimate import NuisanceProjector, WhitenedSignals
 from gyrorig_solver.model.catalogue import catalogue
 from gyrorig_solver.pipeline.prepare_board import fit_base_model
 

@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from gyrorig_solver.discover.cause_findings import NamedCause
+from gyrorig_solver.discover import NamedCause
 from gyrorig_solver.findings import build_findings_document
 from gyrorig_solver.findings.findings_builder import FindingsOrigin
 from gyrorig_solver.findings.findings_document import BoardEntry

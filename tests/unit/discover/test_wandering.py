@@ -14,7 +14,7 @@ from gyrorig_solver.discover.checks.typical_noise import (
     limit_to_typical,
     measure_bias_walk,
 )
-from gyrorig_solver.estimate.noise.noise_model import nominal_levels
+from gyrorig_solver.estimate import nominal_levels
 from gyrorig_solver.numerics import chi2_upper_tail
 from gyrorig_solver.pipeline.explain_board import explain_recordings
 from gyrorig_solver.pipeline.prepare_board import fit_base_model

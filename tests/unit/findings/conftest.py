@@ -4,23 +4,21 @@ import numpy as np
 import pytest
 
 from gyrorig_solver.data.stream.count_stream import CheckResult, StreamFinding
+from gyrorig_solver.discover import CauseFindings, HeldOutGain, NamedCause
 from gyrorig_solver.discover.cause_findings import (
     CalibrationChange,
-    CauseFindings,
     ConfidenceInterval,
     DependenceTest,
     DetectionLimit,
     FittedValue,
-    HeldOutGain,
-    NamedCause,
     RivalCause,
     UnexplainedResidual,
     UntestableCause,
 )
-from gyrorig_solver.estimate.fitted_term import FittedTerm
+from gyrorig_solver.estimate import FittedTerm
 from gyrorig_solver.findings.findings_builder import FindingsOrigin, RawChecks
 from gyrorig_solver.findings.findings_document import BoardEntry, InputEntry
-from gyrorig_solver.model.catalogue import find_term
+from gyrorig_solver.model import find_term
 
 GAIN = HeldOutGain(
     how="every other cycle left out",

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from scipy.stats import linregress
 
-from gyrorig_solver.data.arrays import FloatArray
-from gyrorig_solver.discover.cause_findings import CauseFindings
+from gyrorig_solver.data import FloatArray
+from gyrorig_solver.discover import CauseFindings
 from gyrorig_solver.findings import build_findings_document
 from gyrorig_solver.findings.findings_builder import FindingsOrigin, RawChecks
-from gyrorig_solver.model.term import BinnedDependence
+from gyrorig_solver.model import BinnedDependence
 from gyrorig_solver.report import ReportSeries, draw_findings_figures, render_findings
 from gyrorig_solver.report.binned_dependence import (
     DEPENDENCE_OF_SIGNATURE,

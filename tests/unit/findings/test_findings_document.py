@@ -14,11 +14,17 @@ from gyrorig_protocol.identity import BoardId
 from gyrorig_solver.calibration.calibration_document import Trust
 from gyrorig_solver.data.stream.count_stream import StreamFinding
 from gyrorig_solver.data.stream.gain_checks import check_gain
+from gyrorig_solver.discover import CauseFindings
 from gyrorig_solver.discover.attitude.attitude_terms import ReferenceSmoothing
-from gyrorig_solver.discover.cause_findings import CauseFindings, UntestableCause
-from gyrorig_solver.findings import build_findings_document, findings_summary, write_findings
+from gyrorig_solver.discover.cause_findings import UntestableCause
+from gyrorig_solver.findings import (
+    build_findings_document,
+    findings_summary,
+    to_yaml,
+    write_findings,
+)
 from gyrorig_solver.findings.findings_builder import FindingsOrigin, RawChecks
-from gyrorig_solver.findings.findings_document import parse_findings, to_yaml
+from gyrorig_solver.findings.findings_document import parse_findings
 from gyrorig_solver.findings.findings_wording import cause_remedy, cause_title
 from gyrorig_solver.model.catalogue import catalogue
 from gyrorig_solver.pipeline.criticism_verdict import judge_findings

@@ -10,7 +10,7 @@ from gyrorig_daemon.emulator.truth_commitment import TruthCommitment
 from gyrorig_protocol.errors import InputError
 from gyrorig_solver.check import score_causes
 from gyrorig_solver.check.injected_causes import score_text, verify_commitment
-from gyrorig_solver.discover.cause_findings import CauseFindings
+from gyrorig_solver.discover import CauseFindings
 from gyrorig_solver.findings import FindingsDocument, build_findings_document
 from gyrorig_solver.findings.findings_builder import FindingsOrigin
 

@@ -3,17 +3,18 @@
 import numpy as np
 import pytest
 
-from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.data import FloatArray
 from gyrorig_solver.discover.attitude.attitude_terms import attitude_families
 from gyrorig_solver.discover.cause_findings import DependenceTest
 from gyrorig_solver.discover.checks.model_check import DEPENDENCE_FALSE_ALARM_RATE
 from gyrorig_solver.discover.checks.residual_dependence import dependences_on
 from gyrorig_solver.discover.checks.smooth_alternatives import smooth_families
+from gyrorig_solver.estimate import NoiseModel
 from gyrorig_solver.estimate.attitude.attitude_projector import AttitudeProjector
 from gyrorig_solver.estimate.attitude.block_segments import AttitudeState, BlockSegment
 from gyrorig_solver.estimate.attitude.segment_whitening import SegmentWhitener
-from gyrorig_solver.estimate.noise.noise_model import NoiseModel, Sampling
-from gyrorig_solver.model.recording_context import RecordingContext
+from gyrorig_solver.estimate.noise.noise_model import Sampling
+from gyrorig_solver.model import RecordingContext
 
 N, STEP_S, DENSITY = 1500, 0.1, 1e-8
 TIME_S = STEP_S * np.arange(N, dtype=np.float64)

@@ -10,7 +10,7 @@ from typing import Any
 import fsspec  # type: ignore[import-untyped] # it has no types
 import pytest
 
-from gyrorig_solver.fleet.store.index_rows import IndexRow
+from gyrorig_solver.fleet.store import IndexRow
 from gyrorig_solver.storage import bucket as buckets
 
 ROOT = Path(__file__).resolve().parents[3]

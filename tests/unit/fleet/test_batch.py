@@ -18,20 +18,14 @@ from tests.unit.fleet.test_spool_scanner import write
 
 from gyrorig_protocol.errors import InputError, MachineError, UsageError
 from gyrorig_protocol.identity import BoardId
-from gyrorig_solver.calibration.calibration_store import STORE_FILE, create_sharded_store
-from gyrorig_solver.fleet.jobs import resource_limits
-from gyrorig_solver.fleet.jobs.batch_run import Shard, run_batch
-from gyrorig_solver.fleet.jobs.session_job import (
-    Job,
-    JobResult,
-    SolveSettings,
-    failure_row,
-    run_job,
-)
-from gyrorig_solver.fleet.jobs.workers import DeferredJob, WorkerPool, local_pools, run_all
+from gyrorig_solver.calibration import STORE_FILE
+from gyrorig_solver.calibration.calibration_store import create_sharded_store
+from gyrorig_solver.fleet.jobs import SolveSettings, local_pools, resource_limits, run_batch
+from gyrorig_solver.fleet.jobs.batch_run import Shard
+from gyrorig_solver.fleet.jobs.session_job import Job, JobResult, failure_row, run_job
+from gyrorig_solver.fleet.jobs.workers import DeferredJob, WorkerPool, run_all
+from gyrorig_solver.fleet.store import StoreIndex, verify
 from gyrorig_solver.fleet.store.folder_claims import FolderClaims
-from gyrorig_solver.fleet.store.store_index import StoreIndex
-from gyrorig_solver.fleet.store.store_verification import verify
 from gyrorig_solver.storage import Folder
 
 BOARD = BoardId("GY80-1")

@@ -12,7 +12,8 @@ from tests.unit.fleet.conftest import row
 from gyrorig_protocol.errors import UsageError
 from gyrorig_solver.cli import run
 from gyrorig_solver.commands.batch_command import _parse_shard, _ProgressBar, _summary_text
-from gyrorig_solver.fleet.jobs.batch_run import BatchSummary, Shard
+from gyrorig_solver.fleet.jobs import BatchSummary
+from gyrorig_solver.fleet.jobs.batch_run import Shard
 from gyrorig_solver.fleet.jobs.spool_scanner import scan_spool
 
 

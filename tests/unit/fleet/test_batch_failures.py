@@ -13,16 +13,14 @@ from tests.unit.recording.test_damage import chunk, file_of
 
 from gyrorig_protocol.identity import BoardId
 from gyrorig_protocol.recording.reader import read_recording
-from gyrorig_solver.calibration.calibration_store import STORE_FILE, create_sharded_store
+from gyrorig_solver.calibration import STORE_FILE
+from gyrorig_solver.calibration.calibration_store import create_sharded_store
 from gyrorig_solver.cli import run
-from gyrorig_solver.estimate import motion_fit
-from gyrorig_solver.estimate.trust_region import Convergence, NotConvergedError
-from gyrorig_solver.fleet.jobs import session_job
-from gyrorig_solver.fleet.jobs.batch_run import BatchSummary, run_batch
-from gyrorig_solver.fleet.jobs.session_job import SolveSettings
+from gyrorig_solver.estimate import Convergence, motion_fit
+from gyrorig_solver.estimate.trust_region import NotConvergedError
+from gyrorig_solver.fleet.jobs import BatchSummary, SolveSettings, run_batch, session_job
 from gyrorig_solver.fleet.jobs.workers import WorkerPool
-from gyrorig_solver.fleet.store.store_index import StoreIndex
-from gyrorig_solver.fleet.store.store_verification import verify
+from gyrorig_solver.fleet.store import StoreIndex, verify
 
 BOARD = BoardId("GY80-1")
 

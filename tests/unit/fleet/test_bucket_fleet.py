@@ -11,21 +11,14 @@ from tests.unit.fleet.conftest import row
 
 from gyrorig_protocol.errors import InputError, MachineError, UsageError
 from gyrorig_protocol.identity import BoardId
-from gyrorig_solver.calibration.calibration_store import STORE_FILE
-from gyrorig_solver.fleet.jobs.batch_run import BatchSummary, run_batch
-from gyrorig_solver.fleet.jobs.session_job import SolveSettings
+from gyrorig_solver.calibration import STORE_FILE
+from gyrorig_solver.fleet.jobs import BatchSummary, SolveSettings, run_batch
 from gyrorig_solver.fleet.jobs.workers import WorkerPool
-from gyrorig_solver.fleet.store import bucket_coordination
+from gyrorig_solver.fleet.store import bucket_coordination, rebuild_index, verify
 from gyrorig_solver.fleet.store.bucket_coordination import BucketClaims, BucketJournal
 from gyrorig_solver.fleet.store.bucket_index import BucketIndex
 from gyrorig_solver.fleet.store.bucket_store import create_store, open_calibration_store
-from gyrorig_solver.fleet.store.store_queries import (
-    VersionFilter,
-    all_versions,
-    newest_versions,
-    rebuild_index,
-)
-from gyrorig_solver.fleet.store.store_verification import verify
+from gyrorig_solver.fleet.store.store_queries import VersionFilter, all_versions, newest_versions
 from gyrorig_solver.storage import Folder, Storage, storage_at
 from gyrorig_solver.storage.bucket import Bucket
 

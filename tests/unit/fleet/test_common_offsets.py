@@ -8,9 +8,9 @@ import pytest
 from tests.bench.fleet.parts import ERROR, SCATTER, SPREAD
 from tests.bench.synthetic_fleet import FleetPlan, write_fleet
 
-from gyrorig_solver.fleet.drift.common_offsets import describe_offsets
-from gyrorig_solver.fleet.drift.fleet_overview import FleetOverview, build_overview, read_origins
-from gyrorig_solver.fleet.page.alerts import Alert, fleet_alerts
+from gyrorig_solver.fleet.drift import FleetOverview, build_overview, describe_offsets
+from gyrorig_solver.fleet.drift.fleet_overview import read_origins
+from gyrorig_solver.fleet.page import Alert, fleet_alerts
 
 COUNT_RAD_S = float(np.deg2rad(8.75e-3))  # L3G4200D at 250 dps
 

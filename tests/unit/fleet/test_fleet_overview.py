@@ -11,13 +11,9 @@ from tests.bench.synthetic_fleet import FleetPlan, write_fleet
 
 from gyrorig_protocol.errors import InputError, UsageError
 from gyrorig_solver.cli import run
-from gyrorig_solver.fleet.drift.fleet_overview import (
-    PARAMETER_COLUMNS,
-    build_overview,
-    read_origins,
-)
-from gyrorig_solver.fleet.page.alerts import fleet_alerts
-from gyrorig_solver.fleet.page.fleet_page import write_fleet_page
+from gyrorig_solver.fleet.drift import PARAMETER_COLUMNS, build_overview
+from gyrorig_solver.fleet.drift.fleet_overview import read_origins
+from gyrorig_solver.fleet.page import fleet_alerts, write_fleet_page
 from gyrorig_solver.fleet.page.history_scripts import history_shard
 
 SLOPES = {"bias_x": 1e-3, "bias_z": -4e-4}

@@ -11,8 +11,8 @@ from tests.unit.fleet.test_fleet_overview import script
 
 from gyrorig_solver.calibration.calibration_store import create_sharded_store
 from gyrorig_solver.cli import run
+from gyrorig_solver.fleet.store import StoreIndex
 from gyrorig_solver.fleet.store.folder_journal import FolderJournal
-from gyrorig_solver.fleet.store.store_index import StoreIndex
 
 STD = 1e-3
 LOTS = {"lot-a": 24, "lot-b": 20, "lot-c": 5}

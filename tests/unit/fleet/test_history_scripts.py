@@ -8,13 +8,9 @@ import numpy as np
 import pytest
 from tests.bench.synthetic_fleet import FleetPlan, write_fleet
 
+from gyrorig_solver.fleet.drift import PARAMETER_COLUMNS, FleetOverview, build_overview
 from gyrorig_solver.fleet.drift.ewma_charts import HISTORY_NIGHTS
-from gyrorig_solver.fleet.drift.fleet_overview import (
-    PARAMETER_COLUMNS,
-    FleetOverview,
-    build_overview,
-    read_origins,
-)
+from gyrorig_solver.fleet.drift.fleet_overview import read_origins
 from gyrorig_solver.fleet.page.history_scripts import (
     STEPS_PER_STD,
     group_charts,
@@ -23,7 +19,7 @@ from gyrorig_solver.fleet.page.history_scripts import (
     history_shard,
     shared_chart_data,
 )
-from gyrorig_solver.fleet.store.store_index import StoreIndex
+from gyrorig_solver.fleet.store import StoreIndex
 
 Histories = dict[str, dict[str, Any]]
 

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from tests.unit.fleet.conftest import row
 
 from gyrorig_protocol.errors import InputError
+from gyrorig_solver.fleet.store import StoreIndex, parameter_columns
 from gyrorig_solver.fleet.store.folder_journal import (
     FolderJournal,
     abandoned_journals,
@@ -20,8 +21,7 @@ from gyrorig_solver.fleet.store.folder_journal import (
     is_batch_running,
     other_batch_running,
 )
-from gyrorig_solver.fleet.store.index_rows import parameter_columns, sql_columns
-from gyrorig_solver.fleet.store.store_index import StoreIndex
+from gyrorig_solver.fleet.store.index_rows import sql_columns
 
 
 def folded(store: Path) -> list[Path]:

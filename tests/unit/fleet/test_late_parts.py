@@ -8,9 +8,9 @@ from tests.unit.fleet.test_batch import night
 from tests.unit.recorder.test_parts_in_motion import recorded
 
 from gyrorig_protocol.identity import BoardId
-from gyrorig_solver.calibration.calibration_document import parse_calibration
+from gyrorig_solver.calibration import parse_calibration
 from gyrorig_solver.calibration.calibration_store import create_sharded_store
-from gyrorig_solver.fleet.store.store_index import StoreIndex
+from gyrorig_solver.fleet.store import StoreIndex
 
 PROGRAMS = Path(__file__).resolve().parents[3] / "config" / "programs"
 BOARD = BoardId("B-1")

@@ -18,12 +18,10 @@ from cryptography.hazmat.primitives.serialization import (
 
 from gyrorig_protocol.errors import UsageError
 from gyrorig_solver.cli import run
-from gyrorig_solver.fleet.jobs.batch_run import run_batch
-from gyrorig_solver.fleet.jobs.session_job import SolveSettings
+from gyrorig_solver.fleet.jobs import SolveSettings, run_batch
 from gyrorig_solver.fleet.jobs.workers import WorkerPool
-from gyrorig_solver.fleet.store.manifest import read_public_key, read_signer, write_manifests
-from gyrorig_solver.fleet.store.store_queries import rebuild_index
-from gyrorig_solver.fleet.store.store_verification import verify
+from gyrorig_solver.fleet.store import read_signer, rebuild_index, verify
+from gyrorig_solver.fleet.store.manifest import read_public_key, write_manifests
 from gyrorig_solver.storage import Folder
 
 

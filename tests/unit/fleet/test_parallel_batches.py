@@ -11,14 +11,12 @@ import pytest
 from tests.unit.fleet.conftest import row
 
 from gyrorig_protocol.errors import BusyError, MachineError, UsageError
-from gyrorig_solver.calibration.calibration_store import STORE_FILE, create_sharded_store
-from gyrorig_solver.fleet.jobs.batch_run import run_batch
-from gyrorig_solver.fleet.jobs.session_job import SolveSettings
-from gyrorig_solver.fleet.jobs.workers import local_pools
+from gyrorig_solver.calibration import STORE_FILE
+from gyrorig_solver.calibration.calibration_store import create_sharded_store
+from gyrorig_solver.fleet.jobs import SolveSettings, local_pools, run_batch
+from gyrorig_solver.fleet.store import StoreIndex, rebuild_index
 from gyrorig_solver.fleet.store.folder_claims import FolderClaims
 from gyrorig_solver.fleet.store.folder_journal import FolderJournal, is_batch_running
-from gyrorig_solver.fleet.store.store_index import StoreIndex
-from gyrorig_solver.fleet.store.store_queries import rebuild_index
 
 
 @pytest.fixture(autouse=True)

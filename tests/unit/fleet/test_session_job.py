@@ -15,18 +15,15 @@ from tests.unit.fleet.test_batch import make_job
 
 from gyrorig_protocol.identity import BoardId
 from gyrorig_solver.calibration.calibration_store import create_sharded_store
-from gyrorig_solver.fleet.jobs import session_job
-from gyrorig_solver.fleet.jobs.batch_run import BatchSummary, run_batch
+from gyrorig_solver.fleet.jobs import BatchSummary, SolveSettings, run_batch, session_job
 from gyrorig_solver.fleet.jobs.session_job import (
     Job,
     JobResult,
-    SolveSettings,
     failure_row,
-    job_key,
     run_job_memory_limited,
 )
 from gyrorig_solver.fleet.jobs.workers import WorkerPool, run_all
-from gyrorig_solver.fleet.store.store_index import StoreIndex
+from gyrorig_solver.fleet.store import StoreIndex, job_key
 
 BOARD = BoardId("GY80-1")
 

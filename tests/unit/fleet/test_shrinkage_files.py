@@ -9,7 +9,7 @@ from tests.bench.synthetic_fleet import FleetPlan, write_fleet
 
 from gyrorig_protocol.errors import InputError
 from gyrorig_solver.cli import run
-from gyrorig_solver.fleet.drift.fleet_overview import PARAMETER_COLUMNS, build_overview
+from gyrorig_solver.fleet.drift import PARAMETER_COLUMNS, build_overview
 from gyrorig_solver.fleet.drift.shrinkage_files import (
     SHRINKAGE_FOLDER,
     read_shrinkage_estimates,

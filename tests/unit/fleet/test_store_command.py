@@ -11,17 +11,14 @@ import yaml
 from tests.unit.fleet.conftest import row
 
 from gyrorig_protocol.identity import BoardId
-from gyrorig_solver.calibration.calibration_document import (
-    CalibrationDocument,
-    calibration_as_yaml,
-    parse_calibration,
-)
-from gyrorig_solver.calibration.calibration_store import CalibrationStore, create_sharded_store
+from gyrorig_solver.calibration import CalibrationDocument, CalibrationStore, parse_calibration
+from gyrorig_solver.calibration.calibration_document import calibration_as_yaml
+from gyrorig_solver.calibration.calibration_store import create_sharded_store
 from gyrorig_solver.cli import run
-from gyrorig_solver.fleet.drift.fleet_overview import build_overview
+from gyrorig_solver.fleet.drift import build_overview
+from gyrorig_solver.fleet.store import IndexRow, StoreIndex
 from gyrorig_solver.fleet.store.folder_journal import FolderJournal
-from gyrorig_solver.fleet.store.index_rows import IndexRow, calibration_row
-from gyrorig_solver.fleet.store.store_index import StoreIndex
+from gyrorig_solver.fleet.store.index_rows import calibration_row
 
 GOLDEN = Path(__file__).parents[1] / "output" / "golden" / "good.yaml"
 STD = 2.0**-12  # of every parameter of the golden calibration but the time offset

@@ -14,7 +14,7 @@ from gyrorig_protocol.errors import InputError, UsageError
 from gyrorig_protocol.identity import BoardId
 from gyrorig_protocol.recording.reader import read_recording
 from gyrorig_solver import cli
-from gyrorig_solver.calibration.calibration_document import parse_calibration
+from gyrorig_solver.calibration import parse_calibration
 from gyrorig_solver.check import compare_with_truth
 from gyrorig_solver.data.samples import load_samples
 from gyrorig_solver.importers.phone_clock import GRID_S, find_phone_clock

@@ -22,7 +22,7 @@ from gyrorig_protocol.recording.writer import RecordingWriter
 from gyrorig_solver.data.samples import load_samples
 from gyrorig_solver.importers import ImportMap, check_import_map, import_measurements
 from gyrorig_solver.importers.measurement_columns import open_columns
-from gyrorig_solver.reference.known_turns import read_turns
+from gyrorig_solver.reference import read_turns
 
 BASE = """
 schema: gyrorig/import/1

@@ -8,13 +8,8 @@ import pytest
 
 from gyrorig_solver.calibration.calibration_builder import Provenance
 from gyrorig_solver.calibration.calibration_document import BoardRecord, BoardSettings, SolvedInput
-from gyrorig_solver.estimate.gyro_fit import (
-    ClockQuality,
-    FitDiagnostics,
-    GyroFit,
-    NoiseLevels,
-    ObservabilityReport,
-)
+from gyrorig_solver.estimate import ClockQuality, FitDiagnostics, GyroFit, ObservabilityReport
+from gyrorig_solver.estimate.gyro_fit import NoiseLevels
 from gyrorig_solver.model.gain_matrix import GainFactors
 
 NAMES = (

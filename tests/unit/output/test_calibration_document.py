@@ -15,19 +15,18 @@ from hypothesis import strategies as st
 
 from gyrorig_protocol.errors import InputError
 from gyrorig_protocol.profile import parse_profile
-from gyrorig_solver.calibration import calibration_wording
-from gyrorig_solver.calibration.calibration_builder import Provenance, build_calibration
-from gyrorig_solver.calibration.calibration_document import (
+from gyrorig_solver.calibration import (
     CalibrationDocument,
     Parameter,
     calibration_as_mapping,
-    calibration_as_yaml,
+    calibration_wording,
     parse_calibration,
 )
+from gyrorig_solver.calibration.calibration_builder import Provenance, build_calibration
+from gyrorig_solver.calibration.calibration_document import calibration_as_yaml
 from gyrorig_solver.calibration.calibration_summary import calibration_summary
-from gyrorig_solver.estimate import motion_fit
-from gyrorig_solver.estimate.gyro_fit import GyroFit
-from gyrorig_solver.model.parameter_units import format_quantity
+from gyrorig_solver.estimate import GyroFit, motion_fit
+from gyrorig_solver.model import format_quantity
 
 GOLDEN = Path(__file__).parent / "golden"
 BOARDS = Path(__file__).parents[3] / "config" / "boards"

@@ -11,7 +11,7 @@ import pytest
 
 from gyrorig_protocol.errors import MachineError
 from gyrorig_protocol.identity import BoardId
-from gyrorig_solver.calibration.calibration_store import CalibrationStore
+from gyrorig_solver.calibration import CalibrationStore
 from gyrorig_solver.storage import write_file
 
 BOARD = BoardId("GY80-0007")

@@ -11,7 +11,7 @@ from gyrorig_protocol.recording.writer import RecordingWriter
 from gyrorig_solver import cli
 from gyrorig_solver.check import RecordingHealth, health_problems, health_verdict
 from gyrorig_solver.check.recording_health import BoardHealth, UnitHealth
-from gyrorig_solver.estimate.gyro_fit import ObservabilityReport
+from gyrorig_solver.estimate import ObservabilityReport
 
 Captured = pytest.CaptureFixture[str]
 ALL = ObservabilityReport(rank=12, of=12, condition=2.0, unobservable=(), reasons=())

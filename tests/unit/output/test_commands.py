@@ -12,9 +12,9 @@ import yaml
 
 from gyrorig_protocol.errors import UsageError
 from gyrorig_solver import cli
-from gyrorig_solver.calibration.calibration_document import parse_calibration
+from gyrorig_solver.calibration import parse_calibration
 from gyrorig_solver.commands.terminal import finite_json, printable
-from gyrorig_solver.model.catalogue import find_term
+from gyrorig_solver.model import find_term
 
 ROOT = Path(__file__).parents[3]
 COMMANDS = ["demo", "import", "check", "solve", "compare", "apply", "export", "report", "plan"]

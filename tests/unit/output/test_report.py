@@ -10,18 +10,17 @@ import numpy as np
 import pytest
 
 from gyrorig_protocol.profile import SensorProfile, parse_profile
+from gyrorig_solver.calibration import CalibrationDocument, Parameter
 from gyrorig_solver.calibration.calibration_builder import Provenance, build_calibration
 from gyrorig_solver.calibration.calibration_document import (
-    CalibrationDocument,
     FindingsReference,
     LevelRecord,
-    Parameter,
     ParameterUncertainty,
     RecordingParameters,
     UncertaintyRecord,
 )
 from gyrorig_solver.data.clocks.clock_trace import ClockTrace
-from gyrorig_solver.estimate.gyro_fit import GyroFit
+from gyrorig_solver.estimate import GyroFit
 from gyrorig_solver.report import ReportData, calibration_page, render_calibration
 
 BOARDS = Path(__file__).parents[3] / "config" / "boards"

@@ -13,7 +13,7 @@ from docs.paper import check_estimators, check_paths, check_tables
 from docs.paper.motion import along, calibrated, paths, rotation_about_tilt_axis
 from docs.paper.printed import GY80, MPU
 
-from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.data import FloatArray
 from gyrorig_solver.estimate.paper import paper_angles, paper_matrices
 from gyrorig_solver.estimate.paper.paper_method import PaperResult
 

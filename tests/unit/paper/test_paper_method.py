@@ -7,14 +7,14 @@ import pytest
 from docs.paper.motion import along, calibrated, paths, rotation_about_tilt_axis
 from scipy.spatial.transform import Rotation
 
-from gyrorig_solver.data.arrays import BoolArray, FloatArray
+from gyrorig_solver.data import BoolArray, FloatArray
+from gyrorig_solver.estimate import calibrate_as_printed
 from gyrorig_solver.estimate.paper import paper_angles, paper_matrices
 from gyrorig_solver.estimate.paper.paper_method import (
     FAILURES,
     READING_OF_TABLE_3,
     PaperReading,
     PaperResult,
-    calibrate_as_printed,
 )
 
 SHORT_S = 2.0  # of static test, enough for samples without noise

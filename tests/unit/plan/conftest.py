@@ -11,7 +11,7 @@ import pytest
 import yaml
 
 from gyrorig_protocol.program import MotionProgram, parse_program
-from gyrorig_solver.calibration.sensor_profiles import find_profile
+from gyrorig_solver.calibration import find_profile
 from gyrorig_solver.plan import RigModel, load_rig
 from gyrorig_solver.plan.sensor_model import SensorModel
 

@@ -10,10 +10,10 @@ from scipy.fft import dct
 
 from gyrorig_protocol.program import MotionProgram
 from gyrorig_protocol.recording.reader import read_recording
-from gyrorig_solver.estimate.information import PARAMETER_NAMES
+from gyrorig_solver.estimate import PARAMETER_NAMES
 from gyrorig_solver.estimate.observability import prior_std
-from gyrorig_solver.model.recording_context import Site
-from gyrorig_solver.numerics.distributions import detection_noncentrality
+from gyrorig_solver.model import Site
+from gyrorig_solver.numerics import detection_noncentrality
 from gyrorig_solver.pipeline import solve_recordings
 from gyrorig_solver.plan import (
     DetectabilityReport,

@@ -6,9 +6,9 @@ from typing import Self
 import numpy as np
 import pytest
 
-from gyrorig_solver.estimate.information import motion_information, white_noise_information
-from gyrorig_solver.estimate.noise.noise_model import NoiseModel, Sampling
-from gyrorig_solver.estimate.series import Series
+from gyrorig_solver.estimate import NoiseModel, Series, white_noise_information
+from gyrorig_solver.estimate.information import motion_information
+from gyrorig_solver.estimate.noise.noise_model import Sampling
 from gyrorig_solver.numerics import ArrowheadMatrix
 from gyrorig_solver.reference.reference_motion import EvaluatedMotion
 

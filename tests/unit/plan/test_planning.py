@@ -12,7 +12,7 @@ import pytest
 from gyrorig_protocol.program import MotionProgram, parse_program, unroll_steps
 from gyrorig_protocol.recording.reader import read_recording
 from gyrorig_solver import cli
-from gyrorig_solver.model.gain_matrix import FACTOR_NAMES
+from gyrorig_solver.model import FACTOR_NAMES
 from gyrorig_solver.pipeline.fit_board import solve_recording
 from gyrorig_solver.plan import RigModel, find_program, predict_program
 from gyrorig_solver.plan.criterion import bias_excess, cost

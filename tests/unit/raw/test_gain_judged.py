@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.data import FloatArray
 from gyrorig_solver.data.stream.gain_checks import check_gain, nearest_signed_permutation
 
 SCALE = np.diag([0.97, 1.04, 1.01])

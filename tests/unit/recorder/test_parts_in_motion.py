@@ -19,8 +19,7 @@ from gyrorig_protocol.program import parse_program
 from gyrorig_protocol.recording.messages import PtuCommandRecord, PtuPosition
 from gyrorig_protocol.recording.reader import read_recording
 from gyrorig_protocol.recording.recording import Recording, times_ns
-from gyrorig_solver.reference.unit.pan_tilt_recording import read_pan_tilt_reference
-from gyrorig_solver.reference.unit.pan_tilt_reference import PanTiltReference
+from gyrorig_solver.reference import PanTiltReference, read_pan_tilt_reference
 
 ORIGIN_NS = 5_000_000_000
 UTC_NS = 1_790_000_000_000_000_000

@@ -12,15 +12,15 @@ import pytest
 from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
 
-from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.data import FloatArray
 from gyrorig_solver.data.samples import GyroSamples
 from gyrorig_solver.discover.attitude.attitude_space import AttitudeRecording
 from gyrorig_solver.discover.attitude.explain_attitudes import (
     AttitudeExplanation,
     explain_attitudes,
 )
-from gyrorig_solver.model.recording_context import RecordingContext
-from gyrorig_solver.reference.attitude_reference import read_attitude
+from gyrorig_solver.model import RecordingContext
+from gyrorig_solver.reference import read_attitude
 
 SPAN_S, GYRO_HZ, CAMERA_HZ, LAG_S = 90.0, 200.0, 100.0, 0.004
 REST_S = 12.0  # at both ends

@@ -8,10 +8,10 @@ from scipy.spatial.transform import Rotation
 from tests.support.rotation_error import window_rotation_error
 
 from gyrorig_protocol.errors import InputError
-from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.data import FloatArray
 from gyrorig_solver.data.samples import GyroSamples
-from gyrorig_solver.estimate.attitude.attitude_fit import fit_attitude
-from gyrorig_solver.reference.attitude_reference import AttitudeReference, read_attitude
+from gyrorig_solver.estimate import fit_attitude
+from gyrorig_solver.reference import AttitudeReference, read_attitude
 
 LAG_S = 0.0071
 Maker = Callable[..., GyroSamples]

@@ -7,11 +7,11 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from gyrorig_protocol.errors import InputError
-from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.data import FloatArray
 from gyrorig_solver.data.samples import GyroSamples
-from gyrorig_solver.estimate.gravity_fit import fit_gravity
-from gyrorig_solver.reference.gravity_reference import calibrate_accelerometer, find_poses
-from gyrorig_solver.reference.known_turns import TimeInterval
+from gyrorig_solver.estimate import fit_gravity
+from gyrorig_solver.reference import TimeInterval, find_poses
+from gyrorig_solver.reference.gravity_reference import calibrate_accelerometer
 
 Maker = Callable[..., GyroSamples]
 GRAVITY = 9.81

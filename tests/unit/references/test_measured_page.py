@@ -16,7 +16,7 @@ from docs.measured import held_out_moves, sessions, write
 from docs.measured.printed import IMU_TK
 
 from gyrorig_protocol.recording.reader import read_recording
-from gyrorig_solver.calibration.calibration_document import parse_calibration
+from gyrorig_solver.calibration import parse_calibration
 from gyrorig_solver.pipeline import solve_recordings
 from gyrorig_solver.pipeline.solve_board import FINDINGS_SUFFIX
 

@@ -16,14 +16,11 @@ from tests.support.rotation_error import window_rotation_error
 from gyrorig_protocol.errors import InputError
 from gyrorig_protocol.recording.reader import read_recording
 from gyrorig_protocol.recording.recording import times_ns
-from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.data import FloatArray
 from gyrorig_solver.data.samples import GyroSamples, load_samples
-from gyrorig_solver.estimate.attitude.attitude_fit import fit_attitude
-from gyrorig_solver.estimate.gravity_fit import fit_gravity
-from gyrorig_solver.estimate.turn_fit import fit_turns
+from gyrorig_solver.estimate import fit_attitude, fit_gravity, fit_turns
 from gyrorig_solver.importers import import_measurements, load_import_map
-from gyrorig_solver.reference.attitude_reference import AttitudeReference, read_attitude
-from gyrorig_solver.reference.known_turns import TurnReference, read_turns
+from gyrorig_solver.reference import AttitudeReference, TurnReference, read_attitude, read_turns
 
 MAPS = Path(__file__).resolve().parents[3] / "config" / "imports"
 LoadedRecording = tuple[GyroSamples, TurnReference, AttitudeReference | None]

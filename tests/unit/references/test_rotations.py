@@ -4,13 +4,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from gyrorig_solver.reference.rotations import (
-    integrated_rate,
-    prefix_products,
-    relative_vectors,
-    total_rotation,
-    turn_vectors,
-)
+from gyrorig_solver.reference import prefix_products, turn_vectors
+from gyrorig_solver.reference.rotations import integrated_rate, relative_vectors, total_rotation
 
 
 @pytest.mark.parametrize("n", [1, 2, 3, 7, 64, 101])

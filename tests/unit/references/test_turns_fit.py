@@ -9,10 +9,11 @@ from hypothesis import strategies as st
 
 from gyrorig_protocol.errors import InputError
 from gyrorig_protocol.recording.messages import EventKind, SessionEvent
-from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.data import FloatArray
 from gyrorig_solver.data.samples import GyroSamples
-from gyrorig_solver.estimate.turn_fit import fit_turns
-from gyrorig_solver.reference.known_turns import KnownTurn, TimeInterval, TurnReference, read_turns
+from gyrorig_solver.estimate import fit_turns
+from gyrorig_solver.reference import TimeInterval, TurnReference, read_turns
+from gyrorig_solver.reference.known_turns import KnownTurn
 
 Maker = Callable[..., GyroSamples]
 STD_RAD = float(np.radians(1.0))

@@ -13,7 +13,7 @@ from gyrorig_protocol.recording.messages import EventKind, SessionEvent
 from gyrorig_protocol.recording.reader import read_recording
 from gyrorig_solver.check import examine_recording
 from gyrorig_solver.data.samples import load_samples
-from gyrorig_solver.reference.unit.pan_tilt_recording import read_pan_tilt_reference
+from gyrorig_solver.reference import read_pan_tilt_reference
 
 PROGRAM = """
 name: broken-off

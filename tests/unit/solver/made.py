@@ -6,8 +6,8 @@ import numpy as np
 
 from gyrorig_solver.data.clocks import ClockMap, map_clock
 from gyrorig_solver.data.samples import GyroSamples
+from gyrorig_solver.reference import PanTiltReference
 from gyrorig_solver.reference.unit.move_fit import UnitPolls, fit_moves
-from gyrorig_solver.reference.unit.pan_tilt_reference import PanTiltReference
 from gyrorig_solver.reference.unit.unit_moves import MotionReader, UnitExchange
 
 RAD_PER_STEP = float(np.radians(185.142857 / 3600.0))

@@ -11,7 +11,7 @@ from tests.bench.accuracy.trial import PROGRAMS
 from tests.bench.accuracy.unit import carry_out
 
 from gyrorig_protocol.program import MotionProgram, parse_program
-from gyrorig_solver.model.gain_matrix import factorise
+from gyrorig_solver.model import factorise
 
 SHORT = """
 schema: gyrorig/program/1

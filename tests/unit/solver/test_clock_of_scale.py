@@ -8,8 +8,7 @@ import pytest
 from tests.unit.solver.made import reference_of, samples_of
 
 from gyrorig_solver.data.clocks import map_clock
-from gyrorig_solver.estimate.motion_fit import fit_motion
-from gyrorig_solver.estimate.observability_remedies import UNIT_REMEDIES
+from gyrorig_solver.estimate import UNIT_REMEDIES, fit_motion
 
 
 def _solved(rig: Any, skew: float) -> Any:

@@ -8,14 +8,13 @@ from scipy import signal
 
 from gyrorig_solver.data.clocks import map_clock
 from gyrorig_solver.data.samples import GyroSamples
-from gyrorig_solver.estimate.motion_fit import fit_motion
-from gyrorig_solver.estimate.observability_remedies import UNIT_REMEDIES
-from gyrorig_solver.model.gain_matrix import factorise
+from gyrorig_solver.estimate import UNIT_REMEDIES, fit_motion
+from gyrorig_solver.model import factorise
+from gyrorig_solver.reference import MotionLimits, PanTiltReference, plan_motion
 from gyrorig_solver.reference.unit.counted_reference import CountedReference, counted_reference
-from gyrorig_solver.reference.unit.motion_profile import MotionLimits, ProfileCommand, plan_motion
+from gyrorig_solver.reference.unit.motion_profile import ProfileCommand
 from gyrorig_solver.reference.unit.move_fit import UnitPolls
 from gyrorig_solver.reference.unit.pan_tilt_recording import choose_reference
-from gyrorig_solver.reference.unit.pan_tilt_reference import PanTiltReference
 from gyrorig_solver.reference.unit.stage_kinematics import stage_rate
 from gyrorig_solver.reference.unit.unit_moves import MotionReader, UnitExchange
 

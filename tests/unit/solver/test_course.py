@@ -6,13 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from gyrorig_solver.reference.unit.motion_profile import (
-    CommandKind,
-    MotionLimits,
-    MotionProfile,
-    ProfileCommand,
-    plan_motion,
-)
+from gyrorig_solver.reference import MotionLimits, MotionProfile, plan_motion
+from gyrorig_solver.reference.unit.motion_profile import CommandKind, ProfileCommand
 from gyrorig_solver.reference.unit.profile_derivatives import differentiate_move
 from gyrorig_solver.reference.unit.stage_kinematics import stage_rate
 from gyrorig_solver.reference.unit.unit_moves import MotionReader, UnitExchange, UnitMotion

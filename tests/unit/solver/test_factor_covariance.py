@@ -5,17 +5,11 @@ import pytest
 from scipy.stats import binomtest
 from tests.bench.accuracy.board import factors as other_factors
 
-from gyrorig_solver.estimate.derived_parameters import DerivedParameters, derive_parameters
-from gyrorig_solver.estimate.factor_covariance import propagate_to_factors
-from gyrorig_solver.estimate.observability import BIAS_NAMES, analyse_observability, prior_std
-from gyrorig_solver.model.gain_matrix import (
-    FACTOR_NAMES,
-    GAIN_NAMES,
-    factor_jacobian,
-    factorise,
-    factorise_near,
-    rotation_matrix,
-)
+from gyrorig_solver.estimate import analyse_observability, derive_parameters, propagate_to_factors
+from gyrorig_solver.estimate.derived_parameters import DerivedParameters
+from gyrorig_solver.estimate.observability import BIAS_NAMES, prior_std
+from gyrorig_solver.model import FACTOR_NAMES, GAIN_NAMES, factor_jacobian, factorise
+from gyrorig_solver.model.gain_matrix import factorise_near, rotation_matrix
 
 NAMES = (*GAIN_NAMES, *BIAS_NAMES)
 NOMINAL = np.concatenate([np.eye(3).ravel(), np.zeros(3)])

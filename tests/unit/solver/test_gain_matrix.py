@@ -4,13 +4,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from gyrorig_solver.model.gain_matrix import (
-    factor_jacobian,
-    factorise,
-    left_jacobian,
-    rotation_matrix,
-    rotation_vector,
-)
+from gyrorig_solver.model import factor_jacobian, factorise
+from gyrorig_solver.model.gain_matrix import left_jacobian, rotation_matrix, rotation_vector
 
 
 @pytest.mark.parametrize("seed", range(40))

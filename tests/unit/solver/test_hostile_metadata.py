@@ -8,7 +8,7 @@ import pytest
 from gyrorig_protocol.errors import GyrorigError
 from gyrorig_protocol.recording.reader import read_recording
 from gyrorig_solver.data.samples import load_samples
-from gyrorig_solver.reference.unit.pan_tilt_recording import read_pan_tilt_reference
+from gyrorig_solver.reference import read_pan_tilt_reference
 
 KEYS = (
     ("gyrorig.ptu", "baud"),

@@ -7,10 +7,8 @@ import numpy as np
 import pytest
 from tests.unit.solver.made import reference_of, samples_of
 
-from gyrorig_solver.estimate.gyro_fit import GyroFit
-from gyrorig_solver.estimate.motion_fit import fit_motion
-from gyrorig_solver.estimate.observability_remedies import UNIT_REMEDIES
-from gyrorig_solver.model.gain_matrix import factorise
+from gyrorig_solver.estimate import UNIT_REMEDIES, GyroFit, fit_motion
+from gyrorig_solver.model import factorise
 
 LOW_PASS_DELAY_S = np.sqrt(2.0) / (2.0 * np.pi * 25.0)  # Butterworth, second order, 25 Hz
 

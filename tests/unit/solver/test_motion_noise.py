@@ -5,18 +5,15 @@ import pytest
 from tests.bench.accuracy.motor_noise import MotorNoise
 from tests.bench.accuracy.trial import Case, solve_case
 
-from gyrorig_solver.estimate import series
-from gyrorig_solver.estimate.converged_fit import ConvergedFit
+from gyrorig_solver.estimate import ConvergedFit, NoiseModel, NuisanceProjector, SessionFit, series
+from gyrorig_solver.estimate.linear.whitening import whiten_residual
 from gyrorig_solver.estimate.noise.motion_noise import (
     MotionNoise,
     MotionResidual,
     estimate_motion_noise,
 )
-from gyrorig_solver.estimate.noise.noise_model import NoiseModel, Sampling
+from gyrorig_solver.estimate.noise.noise_model import Sampling
 from gyrorig_solver.estimate.noise.relative_std import RelativeStd
-from gyrorig_solver.estimate.noise.whitening import whiten_residual
-from gyrorig_solver.estimate.nuisance_projector import NuisanceProjector
-from gyrorig_solver.estimate.session_fit import SessionFit
 
 RATE_HZ = 100.0
 WHITE = 5e-4  # rad/s/sqrt(Hz)

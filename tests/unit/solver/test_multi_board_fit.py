@@ -7,14 +7,10 @@ import numpy as np
 import pytest
 from tests.unit.solver.made import reference_of, samples_of
 
-from gyrorig_solver.estimate.converged_fit import ConvergedFit
+from gyrorig_solver.estimate import BASE_PARAMETERS, ConvergedFit, fit_boards_jointly
 from gyrorig_solver.estimate.linear.normal_equations import NormalEquations, stack_boards
 from gyrorig_solver.estimate.motion_fit import solve_motion
-from gyrorig_solver.estimate.multi_board_fit import (
-    fit_boards_jointly,
-    motion_agreement_p_value,
-)
-from gyrorig_solver.estimate.noise.whitening import BASE_PARAMETERS
+from gyrorig_solver.estimate.multi_board_fit import motion_agreement_p_value
 
 Simulate = Callable[..., Any]
 NOISE_RAD_S = 2.5e-3

@@ -4,12 +4,10 @@ import numpy as np
 import pytest
 from scipy.fft import dct, idct
 
+from gyrorig_solver.estimate import NoiseModel, Periodogram, bin_spectrum
 from gyrorig_solver.estimate.noise.noise_model import (
-    NoiseModel,
-    Periodogram,
     Sampling,
     aliased_low_pass,
-    bin_spectrum,
     dct_frequencies_hz,
     fit_noise_levels,
 )

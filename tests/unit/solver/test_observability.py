@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from gyrorig_solver.estimate.derived_parameters import derive_parameters
-from gyrorig_solver.estimate.observability import BIAS_NAMES, analyse_observability
-from gyrorig_solver.model.gain_matrix import GAIN_NAMES
+from gyrorig_solver.estimate import analyse_observability, derive_parameters
+from gyrorig_solver.estimate.observability import BIAS_NAMES
+from gyrorig_solver.model import GAIN_NAMES
 
 NAMES = (*GAIN_NAMES, *BIAS_NAMES)
 IDENTITY = np.concatenate([np.eye(3).ravel(), np.zeros(3)])

@@ -15,12 +15,11 @@ from gyrorig_daemon.emulator.emulator_settings import PtuSettings, RigSettings
 from gyrorig_daemon.emulator.virtual_hub import VirtualHub
 from gyrorig_solver.data.clocks import map_clock
 from gyrorig_solver.data.samples import GyroSamples
-from gyrorig_solver.estimate.motion_fit import fit_motion
-from gyrorig_solver.estimate.observability_remedies import UNIT_REMEDIES
-from gyrorig_solver.model.gain_matrix import factorise
+from gyrorig_solver.estimate import UNIT_REMEDIES, fit_motion
+from gyrorig_solver.model import factorise
+from gyrorig_solver.reference import PanTiltReference
 from gyrorig_solver.reference.unit.controller_counter import counter_instants
 from gyrorig_solver.reference.unit.move_fit import UnitPolls, fit_moves
-from gyrorig_solver.reference.unit.pan_tilt_reference import PanTiltReference
 from gyrorig_solver.reference.unit.unit_moves import MotionReader, UnitExchange
 
 ORIGIN_NS = 7_000_000_000

@@ -5,7 +5,7 @@ import pytest
 
 from gyrorig_solver.estimate.fitted_term import fixed_term, free_term
 from gyrorig_solver.estimate.parameter_layout import ParameterLayout, eliminate_parameters
-from gyrorig_solver.model.catalogue import find_term
+from gyrorig_solver.model import find_term
 
 UNIT_CAUSE, BOARD_CAUSE = "axis_nonorthogonality", "scale_quadratic"
 

@@ -8,18 +8,14 @@ import numpy as np
 import pytest
 from tests.unit.solver.made import reference_of, samples_of
 
+from gyrorig_solver.estimate import UNIT_REMEDIES, fit_motion
 from gyrorig_solver.estimate.fitted_term import fixed_term, free_term
-from gyrorig_solver.estimate.motion_fit import fit_motion, fit_recordings
-from gyrorig_solver.estimate.observability_remedies import UNIT_REMEDIES
+from gyrorig_solver.estimate.motion_fit import fit_recordings
 from gyrorig_solver.estimate.thermal_order import choose_order
-from gyrorig_solver.model.board_temperature import BoardTemperature
-from gyrorig_solver.model.catalogue import find_term
+from gyrorig_solver.model import BoardTemperature, RecordingContext, Site, factorise, find_term
 from gyrorig_solver.model.causes.earth_rotation import EARTH_RATE_RAD_S
 from gyrorig_solver.model.causes.thermal_bias import ThermalBias
-from gyrorig_solver.model.gain_matrix import factorise
-from gyrorig_solver.model.recording_context import RecordingContext, Site
-from gyrorig_solver.reference.known_turns import TimeInterval
-from gyrorig_solver.reference.rest_reference import RestReference
+from gyrorig_solver.reference import RestReference, TimeInterval
 
 G_M_S2 = 9.80665
 Simulate = Callable[..., Any]

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from scipy.signal import welch
 
-from gyrorig_solver.estimate.noise.noise_model import NoiseModel, Sampling, nominal_levels
+from gyrorig_solver.estimate import NoiseModel, nominal_levels
+from gyrorig_solver.estimate.noise.noise_model import Sampling
 from gyrorig_solver.estimate.noise.rest_noise import RestDifferences, limit_to_rest
 
 RATE_HZ, N = 100.0, 20_000

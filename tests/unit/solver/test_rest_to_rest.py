@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from gyrorig_solver.data.arrays import FloatArray
-from gyrorig_solver.estimate.observability import analyse_observability
+from gyrorig_solver.data import FloatArray
+from gyrorig_solver.estimate import analyse_observability
 from gyrorig_solver.estimate.rest_to_rest import GAIN_AND_BIAS_NAMES, BoardPath, cross_check
 
 RAD_PER_STEP = float(np.radians(185.142857 / 3600.0))

@@ -9,20 +9,20 @@ import pytest
 from scipy.stats import kstest
 from tests.unit.solver.made import reference_of, samples_of
 
-from gyrorig_solver.estimate.converged_fit import ConvergedFit
-from gyrorig_solver.estimate.fitted_term import FittedTerm, GaussianPrior, free_term
+from gyrorig_solver.estimate import (
+    BASE_PARAMETERS,
+    ConvergedFit,
+    FittedTerm,
+    SessionFit,
+    fit_boards_jointly,
+    is_unit_cause,
+)
+from gyrorig_solver.estimate.fitted_term import GaussianPrior, free_term
 from gyrorig_solver.estimate.information import MarginalEquations
 from gyrorig_solver.estimate.motion_fit import solve_motion
-from gyrorig_solver.estimate.multi_board_fit import fit_boards_jointly
-from gyrorig_solver.estimate.noise.whitening import BASE_PARAMETERS
 from gyrorig_solver.estimate.parameter_layout import ParameterLayout
-from gyrorig_solver.estimate.session_fit import SessionFit
-from gyrorig_solver.estimate.shared_parameters import (
-    average_shared_values,
-    is_unit_cause,
-    shared_term_p_value,
-)
-from gyrorig_solver.model.catalogue import find_term
+from gyrorig_solver.estimate.shared_parameters import average_shared_values, shared_term_p_value
+from gyrorig_solver.model import find_term
 
 Simulate = Callable[..., Any]
 NOISE_RAD_S = 2.5e-3

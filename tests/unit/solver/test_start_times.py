@@ -10,14 +10,14 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
+from gyrorig_solver.reference import DETENT_VARIANCE, MotionLimits, PanTiltReference, plan_motion
 from gyrorig_solver.reference.reference_motion import LocalDerivative
 from gyrorig_solver.reference.unit import pan_tilt_recording, poll_likelihood
-from gyrorig_solver.reference.unit.motion_profile import MotionLimits, ProfileCommand, plan_motion
+from gyrorig_solver.reference.unit.motion_profile import ProfileCommand
 from gyrorig_solver.reference.unit.move_fit import MoveFit, UnitPolls, fit_moves
 from gyrorig_solver.reference.unit.pan_tilt_recording import unexplained_spans
-from gyrorig_solver.reference.unit.pan_tilt_reference import PanTiltReference
 from gyrorig_solver.reference.unit.profile_derivatives import differentiate_move
-from gyrorig_solver.reference.unit.rest_variance import DETENT_VARIANCE, VARIANCE_CANDIDATES
+from gyrorig_solver.reference.unit.rest_variance import VARIANCE_CANDIDATES
 from gyrorig_solver.reference.unit.unit_moves import MotionReader, UnitExchange, UnitMotion
 
 BASE, RAMP = 100.0, 4000.0

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 from scipy.interpolate import BSpline
 
+from gyrorig_solver.reference import MotionLimits, plan_motion
 from gyrorig_solver.reference.unit.counted_reference import CountedReference, counted_reference
-from gyrorig_solver.reference.unit.motion_profile import MotionLimits, ProfileCommand, plan_motion
+from gyrorig_solver.reference.unit.motion_profile import ProfileCommand
 from gyrorig_solver.reference.unit.move_fit import UnitPolls
 from gyrorig_solver.reference.unit.spline_segment import (
     INTENSITY_CANDIDATES,

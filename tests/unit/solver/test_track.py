@@ -5,13 +5,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from gyrorig_solver.reference import MotionLimits, MotionProfile, plan_motion
 from gyrorig_solver.reference.unit.axis_trajectory import Trajectory, build_trajectories
-from gyrorig_solver.reference.unit.motion_profile import (
-    MotionLimits,
-    MotionProfile,
-    ProfileCommand,
-    plan_motion,
-)
+from gyrorig_solver.reference.unit.motion_profile import ProfileCommand
 from gyrorig_solver.reference.unit.move_table import MotionParameters, MoveTable
 from gyrorig_solver.reference.unit.trapezoidal_moves import TrapezoidalMoves
 from gyrorig_solver.reference.unit.unit_moves import MotionReader, UnitExchange, UnitMotion

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from gyrorig_protocol.errors import InputError
-from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.data import FloatArray
+from gyrorig_solver.estimate import Convergence
 from gyrorig_solver.estimate.trust_region import (
     MAX_INCREASE_NATS,
     NEGLIGIBLE_NATS,
-    Convergence,
     NotConvergedError,
     ProposedStep,
     minimise,

@@ -13,9 +13,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.signal import cont2discrete, lfilter, lfilter_zi
 
-from gyrorig_solver.model.board_temperature import BoardTemperature
-from gyrorig_solver.model.recording_context import RecordingContext, Site
-from gyrorig_solver.model.signal_state import SignalState
+from gyrorig_solver.model import BoardTemperature, RecordingContext, SignalState, Site
 
 Array = NDArray[np.float64]
 

@@ -5,20 +5,25 @@ from typing import Any
 import numpy as np
 import pytest
 
+from gyrorig_solver.estimate import FittedTerm, total_effect
 from gyrorig_solver.estimate.cascade import (
     TermCascade,
     effect_of_removing,
     effects_in_order,
     fitted_derivatives,
     order_by_stage,
-    total_effect,
 )
-from gyrorig_solver.estimate.fitted_term import FittedTerm
-from gyrorig_solver.model.catalogue import catalogue, find_term
-from gyrorig_solver.model.recording_context import RecordingContext
-from gyrorig_solver.model.signal_state import SignalState
-from gyrorig_solver.model.term import SIGNAL_PATH, value_indices, value_parameters
-from gyrorig_solver.reference.unit.motion_profile import MotionLimits, ProfileCommand, plan_motion
+from gyrorig_solver.model import (
+    RecordingContext,
+    SignalState,
+    find_term,
+    value_indices,
+    value_parameters,
+)
+from gyrorig_solver.model.catalogue import catalogue
+from gyrorig_solver.model.term import SIGNAL_PATH
+from gyrorig_solver.reference import MotionLimits, plan_motion
+from gyrorig_solver.reference.unit.motion_profile import ProfileCommand
 
 Array = np.ndarray
 KINDS = ("effect", "known")

@@ -5,15 +5,10 @@ from typing import Any
 
 import numpy as np
 
-from gyrorig_solver.data.arrays import FloatArray
-from gyrorig_solver.estimate.cascade import (
-    TermCascade,
-    fitted_derivatives,
-    pass_through_of,
-    total_effect,
-)
-from gyrorig_solver.estimate.fitted_term import FittedTerm
-from gyrorig_solver.model.catalogue import find_term
+from gyrorig_solver.data import FloatArray
+from gyrorig_solver.estimate import FittedTerm, total_effect
+from gyrorig_solver.estimate.cascade import TermCascade, fitted_derivatives, pass_through_of
+from gyrorig_solver.model import find_term
 
 
 def _dead(threshold: list[float]) -> FittedTerm:

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from gyrorig_solver.model.catalogue import find_term
+from gyrorig_solver.model import find_term
 
 
 def close(ours: np.ndarray, theirs: np.ndarray, share: float) -> None:

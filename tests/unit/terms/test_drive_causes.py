@@ -8,13 +8,12 @@ import pytest
 from scipy import signal
 from scipy.spatial.transform import Rotation
 
-from gyrorig_solver.model.catalogue import find_term
+from gyrorig_solver.model import RecordingContext, SignalState, find_term
 from gyrorig_solver.model.causes.lost_steps import LostSteps, pulse_templates
 from gyrorig_solver.model.drive_effects import apply_play, moving_average, replan_with_limits
-from gyrorig_solver.model.recording_context import RecordingContext
 from gyrorig_solver.model.replanned_moves import compound_moves, simple_moves
-from gyrorig_solver.model.signal_state import SignalState
-from gyrorig_solver.reference.unit.motion_profile import MotionLimits, ProfileCommand, plan_motion
+from gyrorig_solver.reference import MotionLimits, plan_motion
+from gyrorig_solver.reference.unit.motion_profile import ProfileCommand
 
 PathEffect = Callable[[np.ndarray, np.ndarray], np.ndarray]
 

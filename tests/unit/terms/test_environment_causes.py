@@ -12,13 +12,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from gyrorig_solver.model.board_temperature import BoardTemperature
-from gyrorig_solver.model.catalogue import find_term
+from gyrorig_solver.model import BoardTemperature, Site, find_term
 from gyrorig_solver.model.causes.axis_nonorthogonality import AxisNonOrthogonality
 from gyrorig_solver.model.causes.earth_rotation import EARTH_RATE_RAD_S, earth_axis_in_base
 from gyrorig_solver.model.causes.thermal_bias import ThermalBias
 from gyrorig_solver.model.causes.tilt_zero import TiltZero
-from gyrorig_solver.model.recording_context import Site
 
 Attitude = Callable[[np.ndarray], Rotation]
 

@@ -8,18 +8,17 @@ import numpy as np
 import pytest
 
 from gyrorig_protocol.errors import UsageError
-from gyrorig_solver.model import causes
-from gyrorig_solver.model.catalogue import catalogue, find_term
-from gyrorig_solver.model.term import (
-    ANGLE_COVARIATES,
-    EDGE_COVARIATES,
-    RATE_COVARIATES,
+from gyrorig_solver.model import (
     Term,
+    causes,
     components_of,
+    find_term,
     value_indices,
     value_names,
     value_parameters,
 )
+from gyrorig_solver.model.catalogue import catalogue
+from gyrorig_solver.model.term import ANGLE_COVARIATES, EDGE_COVARIATES, RATE_COVARIATES
 
 # The contract's table (results: catalogue of causes).
 CONTRACT = {

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from gyrorig_solver.model.catalogue import find_term
+from gyrorig_solver.model import find_term
 
 Rate = Callable[[np.ndarray], np.ndarray]
 

@@ -5,8 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from gyrorig_solver.model.board_temperature import BoardTemperature
-from gyrorig_solver.model.signal_state import SignalState
+from gyrorig_solver.model import BoardTemperature, SignalState
 
 
 def test_block_means_match_a_simulated_sensor(rig: Any) -> None:

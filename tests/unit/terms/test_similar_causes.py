@@ -11,12 +11,17 @@ from typing import Any
 import numpy as np
 import pytest
 
-from gyrorig_solver.model.board_temperature import BoardTemperature
-from gyrorig_solver.model.catalogue import catalogue, find_term
-from gyrorig_solver.model.recording_context import RecordingContext, Site
-from gyrorig_solver.model.signal_state import SignalState
-from gyrorig_solver.model.term import value_parameters
-from gyrorig_solver.reference.unit.motion_profile import MotionLimits, ProfileCommand, plan_motion
+from gyrorig_solver.model import (
+    BoardTemperature,
+    RecordingContext,
+    SignalState,
+    Site,
+    find_term,
+    value_parameters,
+)
+from gyrorig_solver.model.catalogue import catalogue
+from gyrorig_solver.reference import MotionLimits, plan_motion
+from gyrorig_solver.reference.unit.motion_profile import ProfileCommand
 
 DEG = np.pi / 180.0
 STEP = 0.0514 * DEG

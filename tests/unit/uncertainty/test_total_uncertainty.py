@@ -7,25 +7,23 @@ from types import MappingProxyType
 import numpy as np
 import pytest
 
+from gyrorig_solver.calibration import CalibrationDocument, Parameter, parse_calibration
 from gyrorig_solver.calibration.calibration_document import (
     BoardRecord,
     BoardSettings,
-    CalibrationDocument,
     Covariance,
     Matrices,
     ObservabilityRecord,
-    Parameter,
     Quality,
     SolverRecord,
     Trust,
     Units,
     Validity,
     calibration_as_yaml,
-    parse_calibration,
 )
 from gyrorig_solver.calibration.calibration_summary import calibration_summary
 from gyrorig_solver.calibration.total_uncertainty import with_total_uncertainty
-from gyrorig_solver.discover.calibration_changes import CALIBRATION_PARAMETERS
+from gyrorig_solver.discover import CALIBRATION_PARAMETERS
 from gyrorig_solver.model.catalogue import catalogue
 from gyrorig_solver.report import ReportData, render_calibration
 from gyrorig_solver.uncertainty import UncertaintyBudget, default_settings

@@ -11,11 +11,11 @@ import pytest
 from gyrorig_daemon.cli import run
 from gyrorig_protocol.recording.reader import read_recording
 from gyrorig_protocol.recording.recording import Recording
-from gyrorig_solver.data.arrays import FloatArray
-from gyrorig_solver.discover.calibration_changes import CALIBRATION_PARAMETERS, CalibrationValues
-from gyrorig_solver.estimate.converged_fit import ConvergedFit
-from gyrorig_solver.estimate.nuisance_projector import NuisanceProjector
-from gyrorig_solver.model.gain_matrix import factorise
+from gyrorig_solver.data import FloatArray
+from gyrorig_solver.discover import CALIBRATION_PARAMETERS
+from gyrorig_solver.discover.calibration_changes import CalibrationValues
+from gyrorig_solver.estimate import ConvergedFit, NuisanceProjector
+from gyrorig_solver.model import factorise
 from gyrorig_solver.pipeline.board_data import load_board
 from gyrorig_solver.pipeline.prepare_board import fit_base
 from gyrorig_solver.uncertainty import (

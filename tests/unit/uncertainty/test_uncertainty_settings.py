@@ -5,8 +5,8 @@ import math
 import pytest
 
 from gyrorig_protocol.errors import UsageError
+from gyrorig_solver.model import PARAMETER_GROUPS
 from gyrorig_solver.model.catalogue import catalogue
-from gyrorig_solver.model.parameter_units import PARAMETER_GROUPS
 from gyrorig_solver.uncertainty import default_settings
 from gyrorig_solver.uncertainty.uncertainty_settings import parse_settings
 

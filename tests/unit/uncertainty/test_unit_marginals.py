@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.data import FloatArray
 from gyrorig_solver.uncertainty import UnitPosterior, default_settings
 from gyrorig_solver.uncertainty.fit_linearisation import FitLinearisation
 from gyrorig_solver.uncertainty.unit_marginals import UnitMarginals, unit_information

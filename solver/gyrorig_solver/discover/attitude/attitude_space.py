@@ -13,7 +13,7 @@ from typing import Self
 
 import numpy as np
 
-from gyrorig_solver.data.arrays import FloatArray, IntArray
+from gyrorig_solver.data import FloatArray, IntArray
 from gyrorig_solver.data.samples import GyroSamples
 from gyrorig_solver.discover.attitude.attitude_terms import attitude_families, attitude_terms
 from gyrorig_solver.discover.calibration_changes import (
@@ -26,21 +26,27 @@ from gyrorig_solver.discover.cause_findings import DependenceTest
 from gyrorig_solver.discover.checks.residual_dependence import dependences_on
 from gyrorig_solver.discover.checks.smooth_alternatives import smooth_families
 from gyrorig_solver.discover.fit_space import FitSpace
+from gyrorig_solver.estimate import (
+    MAX_EVALUATIONS,
+    Convergence,
+    FittedTerm,
+    GyroFit,
+    NuisanceProjector,
+    WhitenedSignals,
+    total_effect,
+)
 from gyrorig_solver.estimate.attitude.attitude_fit import solve_attitude, summarize_attitude_fit
 from gyrorig_solver.estimate.attitude.attitude_projector import AttitudeProjector
 from gyrorig_solver.estimate.attitude.block_segments import AccelerometerReadings
-from gyrorig_solver.estimate.cascade import fitted_derivatives, total_effect
-from gyrorig_solver.estimate.fitted_term import FittedTerm
-from gyrorig_solver.estimate.gyro_fit import GyroFit
-from gyrorig_solver.estimate.likelihood_fit import MAX_EVALUATIONS
-from gyrorig_solver.estimate.nuisance_projector import NuisanceProjector
-from gyrorig_solver.estimate.trust_region import Convergence
-from gyrorig_solver.estimate.whitened_signals import WhitenedSignals
-from gyrorig_solver.model.gain_matrix import factor_jacobian, factorise
-from gyrorig_solver.model.recording_context import RecordingContext
-from gyrorig_solver.model.signal_state import SignalState
-from gyrorig_solver.model.term import value_parameters
-from gyrorig_solver.reference.attitude_reference import AttitudeReference
+from gyrorig_solver.estimate.cascade import fitted_derivatives
+from gyrorig_solver.model import (
+    RecordingContext,
+    SignalState,
+    factor_jacobian,
+    factorise,
+    value_parameters,
+)
+from gyrorig_solver.reference import AttitudeReference
 
 CONVERGED = Convergence(True, 0, 0.0)
 COARSE_DETAIL = 6.0  # half waves: most causes are as smooth

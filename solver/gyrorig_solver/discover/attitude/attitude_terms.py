@@ -18,18 +18,26 @@ from collections.abc import Callable
 
 import numpy as np
 
-from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.data import FloatArray
 from gyrorig_solver.discover.checks.smooth_alternatives import BasisFamily
 from gyrorig_solver.estimate.attitude.attitude_projector import MIN_BOARD_RATE_RAD_S
 from gyrorig_solver.estimate.attitude.block_segments import AttitudeState
+from gyrorig_solver.model import (
+    DEG,
+    XYZ,
+    LinearTerm,
+    Part,
+    SignalState,
+    Term,
+    TermParameter,
+    format_list,
+    start_values,
+)
 from gyrorig_solver.model.catalogue import catalogue
 from gyrorig_solver.model.causes.g_sensitivity import GSensitivity
 from gyrorig_solver.model.causes.supply_hum import SupplyHum
 from gyrorig_solver.model.signal_arrays import split_axes
-from gyrorig_solver.model.signal_state import SignalState
-from gyrorig_solver.model.term import Part, Scope, Term, TermParameter, start_values
-from gyrorig_solver.model.term_kinds import LinearTerm
-from gyrorig_solver.model.value_format import DEG, XYZ, format_list
+from gyrorig_solver.model.term import Scope
 
 MIN_FORCE_SPAN_M_S2 = 3.0  # of every component: a third of gravity
 

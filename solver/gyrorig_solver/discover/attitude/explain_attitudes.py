@@ -19,8 +19,8 @@ from gyrorig_solver.discover.checks.model_check import Check, JudgedModel, Verdi
 from gyrorig_solver.discover.fit_explanation import assemble_findings
 from gyrorig_solver.discover.fitted_values import value_stds
 from gyrorig_solver.discover.held_out_gain import compare_residuals, cross_validate_causes
-from gyrorig_solver.estimate.gyro_fit import GyroFit
-from gyrorig_solver.model.term import value_names
+from gyrorig_solver.estimate import GyroFit
+from gyrorig_solver.model import value_names
 
 
 class NamelessCheck:

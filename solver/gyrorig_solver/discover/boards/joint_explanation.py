@@ -37,11 +37,8 @@ from gyrorig_solver.discover.fit_explanation import explain_search
 from gyrorig_solver.discover.motion_space import MotionFitSpace
 from gyrorig_solver.discover.score_tests import scan_catalogue
 from gyrorig_solver.discover.testable_terms import FALSE_ALARM_RATE, count_tests, testable_terms
-from gyrorig_solver.estimate.converged_fit import ConvergedFit
-from gyrorig_solver.estimate.fitted_term import FittedTerm
-from gyrorig_solver.estimate.nuisance_projector import NuisanceProjector
-from gyrorig_solver.model.recording_scope import term_label
-from gyrorig_solver.model.term import Term
+from gyrorig_solver.estimate import ConvergedFit, FittedTerm, NuisanceProjector
+from gyrorig_solver.model import Term, term_label
 
 DETECTED_NATS = 4.0  # won on a board's own data: less may be chance (once in 200 for one size)
 MAX_EVIDENCE_LAG_NATS = (

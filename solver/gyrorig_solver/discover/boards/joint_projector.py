@@ -17,13 +17,17 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import block_diag
 
-from gyrorig_solver.data.arrays import FloatArray, IntArray
+from gyrorig_solver.data import FloatArray, IntArray
 from gyrorig_solver.discover.exact_fit import FittedCandidate
+from gyrorig_solver.estimate import (
+    NuisanceProjector,
+    ScoreStatistics,
+    SignalFunction,
+    WhitenedSignals,
+)
 from gyrorig_solver.estimate.fitted_term import GaussianPrior
-from gyrorig_solver.estimate.nuisance_projector import NuisanceProjector, SignalFunction
-from gyrorig_solver.estimate.nuisance_space import ScoreStatistics
-from gyrorig_solver.estimate.whitened_signals import WhitenedSignals, join_channels
-from gyrorig_solver.model.term import Term
+from gyrorig_solver.estimate.whitened_signals import join_channels
+from gyrorig_solver.model import Term
 from gyrorig_solver.numerics import chi2_upper_tail
 
 MIN_RELATIVE_INFORMATION = 1e-7  # of the values' own: a direction with less information is ignored

@@ -18,10 +18,8 @@ from gyrorig_solver.discover.candidate_fits import fit_best_place
 from gyrorig_solver.discover.exact_fit import FittedCandidate
 from gyrorig_solver.discover.score_tests import scan_catalogue
 from gyrorig_solver.discover.template_choice import all_templates
-from gyrorig_solver.estimate.nuisance_projector import NuisanceProjector
-from gyrorig_solver.estimate.shared_parameters import is_unit_cause
-from gyrorig_solver.model.recording_scope import term_label
-from gyrorig_solver.model.term import Term
+from gyrorig_solver.estimate import NuisanceProjector, is_unit_cause
+from gyrorig_solver.model import Term, term_label
 
 Owner = Literal["unit", "board", "either"]
 # What is a unit's by its kind acts on all boards. That it shows on one alone takes a mount of

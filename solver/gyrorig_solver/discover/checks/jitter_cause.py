@@ -20,7 +20,7 @@ from gyrorig_solver.discover.checks.variance_trend import VarianceTrendTest
 from gyrorig_solver.discover.motion_space import MotionFitSpace
 from gyrorig_solver.discover.named_causes import name_outside_fit
 from gyrorig_solver.discover.testable_terms import FALSE_ALARM_RATE
-from gyrorig_solver.estimate.nuisance_projector import NuisanceProjector
+from gyrorig_solver.estimate import NuisanceProjector
 from gyrorig_solver.model.causes.sample_jitter import SampleJitter
 
 JITTER_COVARIATES = ("acceleration_scatter", "moving")  # nameless tests that show jitter

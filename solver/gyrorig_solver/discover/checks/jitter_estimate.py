@@ -26,7 +26,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.fft import dct
 
-from gyrorig_solver.data.arrays import BoolArray, FloatArray
+from gyrorig_solver.data import BoolArray, FloatArray
 from gyrorig_solver.discover.cause_findings import DependenceTest
 from gyrorig_solver.discover.checks.jitter_modulation import BlockMotion, find_modulation
 from gyrorig_solver.discover.checks.variance_trend import (
@@ -34,8 +34,7 @@ from gyrorig_solver.discover.checks.variance_trend import (
     fit_variance_trend,
     speed_shapes,
 )
-from gyrorig_solver.estimate.noise.noise_model import NoiseModel
-from gyrorig_solver.estimate.nuisance_projector import NuisanceProjector
+from gyrorig_solver.estimate import NoiseModel, NuisanceProjector
 from gyrorig_solver.model.causes.sample_jitter import SampleJitter
 from gyrorig_solver.numerics import chi2_upper_tail, normal_quantile
 

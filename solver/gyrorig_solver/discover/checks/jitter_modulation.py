@@ -18,9 +18,9 @@ from typing import Self
 
 import numpy as np
 
-from gyrorig_solver.data.arrays import BoolArray, FloatArray
+from gyrorig_solver.data import BoolArray, FloatArray
 from gyrorig_solver.discover.cause_findings import DependenceTest
-from gyrorig_solver.model.signal_state import SignalState
+from gyrorig_solver.model import SignalState
 from gyrorig_solver.numerics import chi2_upper_tail
 
 MODULATION_WAVES = 3  # half waves of the speed and of the time

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gyrorig_solver.data.arrays import BoolArray, FloatArray
+from gyrorig_solver.data import BoolArray, FloatArray
 from gyrorig_solver.discover.cause_findings import NamedCause, RivalCause
 from gyrorig_solver.discover.cause_ranking import credible_set
 from gyrorig_solver.discover.checks.model_check import (
@@ -31,17 +31,17 @@ from gyrorig_solver.discover.fit_space import NoiseAlternative
 from gyrorig_solver.discover.motion_space import MotionFitSpace
 from gyrorig_solver.discover.named_causes import name_outside_fit
 from gyrorig_solver.discover.testable_terms import FALSE_ALARM_RATE
-from gyrorig_solver.estimate.converged_fit import ConvergedFit
-from gyrorig_solver.estimate.noise.noise_model import (
+from gyrorig_solver.estimate import (
     PRIOR_LOG_STD,
+    ConvergedFit,
     NoiseModel,
     Spectrum,
     nominal_levels,
-    quantum_density,
     unit_densities,
 )
+from gyrorig_solver.estimate.noise.noise_model import quantum_density
+from gyrorig_solver.model import XYZ
 from gyrorig_solver.model.causes.bias_random_walk import BiasRandomWalk
-from gyrorig_solver.model.value_format import XYZ
 from gyrorig_solver.numerics import chi2_upper_tail
 
 FLICKER, WALK = 1, 2  # which of a noise model's levels

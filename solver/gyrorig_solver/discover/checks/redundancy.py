@@ -22,9 +22,7 @@ from gyrorig_solver.discover.checks.smooth_alternatives import smooth_families
 from gyrorig_solver.discover.fit_space import Space
 from gyrorig_solver.discover.score_tests import ScoreTest
 from gyrorig_solver.discover.testable_terms import FALSE_ALARM_RATE
-from gyrorig_solver.estimate.fitted_term import FittedTerm
-from gyrorig_solver.estimate.nuisance_projector import NuisanceProjector
-from gyrorig_solver.estimate.whitened_signals import WhitenedSignals, join_signals
+from gyrorig_solver.estimate import FittedTerm, NuisanceProjector, WhitenedSignals, join_signals
 from gyrorig_solver.numerics import chi2_upper_tail
 
 MIN_EXPLAINED_SHARE = 0.8  # minimum share of the dependences that the names must explain

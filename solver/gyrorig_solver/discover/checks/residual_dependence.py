@@ -14,14 +14,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gyrorig_solver.data.arrays import FloatArray, IntArray
+from gyrorig_solver.data import FloatArray, IntArray
 from gyrorig_solver.discover.cause_findings import DependenceTest
 from gyrorig_solver.discover.checks.smooth_alternatives import BasisFamily, smooth_families
 from gyrorig_solver.discover.checks.typical_noise import likelihood_gain
 from gyrorig_solver.discover.checks.variance_trend import fit_variance_trend, speed_shapes
 from gyrorig_solver.discover.score_tests import NEGLIGIBLE_ENERGY, ScoreTest
-from gyrorig_solver.estimate.nuisance_projector import NuisanceProjector
-from gyrorig_solver.estimate.nuisance_space import ScoreStatistics
+from gyrorig_solver.estimate import NuisanceProjector, ScoreStatistics
 from gyrorig_solver.model.causes.sample_jitter import SampleJitter
 from gyrorig_solver.numerics import chi2_upper_tail
 

@@ -14,21 +14,17 @@ from functools import partial
 
 import numpy as np
 
-from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.data import FloatArray
 from gyrorig_solver.discover.checks.windowed_signals import WindowFunction, windowed_statistics
-from gyrorig_solver.estimate.fitted_term import FittedTerm
-from gyrorig_solver.estimate.nuisance_projector import NuisanceProjector, SignalFunction
-from gyrorig_solver.estimate.nuisance_space import ScoreStatistics
-from gyrorig_solver.estimate.whitened_signals import WhitenedSignals
-from gyrorig_solver.model.signal_arrays import (
-    AxisBiases,
-    Signals,
-    on_all_axes,
-    weighted_sum,
-    zero_signals,
+from gyrorig_solver.estimate import (
+    FittedTerm,
+    NuisanceProjector,
+    ScoreStatistics,
+    SignalFunction,
+    WhitenedSignals,
 )
-from gyrorig_solver.model.signal_state import SignalState
-from gyrorig_solver.model.term import Term
+from gyrorig_solver.model import AxisBiases, Signals, SignalState, Term, zero_signals
+from gyrorig_solver.model.signal_arrays import on_all_axes, weighted_sum
 
 Covariate = Callable[[SignalState], FloatArray]  # to (n,)
 

@@ -22,7 +22,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.data import FloatArray
 from gyrorig_solver.discover.cause_findings import DependenceTest
 from gyrorig_solver.discover.cause_ranking import MODEL_ERROR_SHARE, RankedCause
 from gyrorig_solver.discover.checks.model_check import JudgedModel, Verdict
@@ -37,11 +37,9 @@ from gyrorig_solver.discover.checks.smooth_alternatives import (
 )
 from gyrorig_solver.discover.fit_space import FitSpace, Space
 from gyrorig_solver.discover.fitted_values import value_stds
-from gyrorig_solver.estimate.fitted_term import FittedTerm
-from gyrorig_solver.estimate.nuisance_projector import NuisanceProjector
-from gyrorig_solver.estimate.whitened_signals import join_signals
-from gyrorig_solver.model.signal_state import SignalState
-from gyrorig_solver.model.term import ANGLE_COVARIATES, value_indices
+from gyrorig_solver.estimate import FittedTerm, NuisanceProjector, join_signals
+from gyrorig_solver.model import SignalState, value_indices
+from gyrorig_solver.model.term import ANGLE_COVARIATES
 
 REJECTION_LEVEL = (
     0.005  # share of right names that may be dropped: a quarter of what names may be lost

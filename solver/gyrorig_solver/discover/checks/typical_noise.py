@@ -15,20 +15,20 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.data import FloatArray
 from gyrorig_solver.discover.cause_findings import DependenceTest
-from gyrorig_solver.estimate.converged_fit import ConvergedFit
-from gyrorig_solver.estimate.noise.noise_model import (
+from gyrorig_solver.estimate import (
     PRIOR_LOG_STD,
+    ConvergedFit,
     NoiseModel,
+    NuisanceProjector,
     Periodogram,
     Spectrum,
     bin_spectrum,
-    fit_noise_levels,
     nominal_levels,
     unit_densities,
 )
-from gyrorig_solver.estimate.nuisance_projector import NuisanceProjector
+from gyrorig_solver.estimate.noise.noise_model import fit_noise_levels
 from gyrorig_solver.numerics import chi2_upper_tail
 
 EXCESS_RATIO = 5.0  # times the random walk of a typical part; more is reported as unusual

@@ -9,7 +9,7 @@ import numpy as np
 from gyrorig_solver.discover.checks.model_check import JudgedModel, Verdict
 from gyrorig_solver.discover.fit_space import FitSpace, Space
 from gyrorig_solver.discover.fitted_values import value_stds
-from gyrorig_solver.model.term import value_indices
+from gyrorig_solver.model import value_indices
 
 
 class UnobservableShareCheck:

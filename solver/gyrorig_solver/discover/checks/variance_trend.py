@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.data import FloatArray
 from gyrorig_solver.numerics import chi2_upper_tail, normal_upper_tail
 
 SPEED_WAVES = 3  # half waves over the speeds

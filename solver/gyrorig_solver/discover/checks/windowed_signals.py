@@ -15,10 +15,9 @@ from functools import partial
 import numpy as np
 from scipy.sparse import csr_array
 
-from gyrorig_solver.data.arrays import FloatArray, IntArray
-from gyrorig_solver.estimate.nuisance_projector import NuisanceProjector
-from gyrorig_solver.estimate.nuisance_space import ScoreStatistics
-from gyrorig_solver.model.signal_state import SignalState
+from gyrorig_solver.data import FloatArray, IntArray
+from gyrorig_solver.estimate import NuisanceProjector, ScoreStatistics
+from gyrorig_solver.model import SignalState
 
 MARGIN_S = 4.0  # before and after a window
 

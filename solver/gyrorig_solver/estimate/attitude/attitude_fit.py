@@ -26,7 +26,8 @@ from gyrorig_solver.estimate.fit_summary import FitOutcome, build_gyro_fit
 from gyrorig_solver.estimate.gyro_fit import FitDiagnostics, GyroFit
 from gyrorig_solver.estimate.information import PARAMETER_NAMES
 from gyrorig_solver.estimate.observability import analyse_observability
-from gyrorig_solver.reference.attitude_reference import MAX_MEAN_RATE_TURN_RAD, AttitudeReference
+from gyrorig_solver.reference import AttitudeReference
+from gyrorig_solver.reference.attitude_reference import MAX_MEAN_RATE_TURN_RAD
 
 DEFAULT_BAND_HZ = 5.0
 # A fit on this share of the band must agree within so many standard deviations.

@@ -12,9 +12,10 @@ from itertools import pairwise
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.data import FloatArray
 from gyrorig_solver.data.samples import GyroSamples
-from gyrorig_solver.reference.attitude_reference import AttitudeReference, BodyRateSegment
+from gyrorig_solver.reference import AttitudeReference
+from gyrorig_solver.reference.attitude_reference import BodyRateSegment
 
 # Range of the time offset; it covers a loaded link and a low-pass.
 MAX_LAG_S = 0.3

@@ -18,7 +18,7 @@ from typing import Self
 import numpy as np
 from scipy.sparse import csc_array, csr_array
 
-from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.data import FloatArray
 from gyrorig_solver.estimate.attitude.attitude_fit import AttitudeFit
 from gyrorig_solver.estimate.attitude.block_segments import (
     AccelerometerReadings,
@@ -44,9 +44,7 @@ from gyrorig_solver.estimate.parameter_layout import (
 )
 from gyrorig_solver.estimate.series_segment import SeriesSegment
 from gyrorig_solver.estimate.whitened_signals import WhitenedSignals, join_signals
-from gyrorig_solver.model.recording_context import RecordingContext
-from gyrorig_solver.model.signal_arrays import Signals, dense_signals
-from gyrorig_solver.model.term import Term
+from gyrorig_solver.model import RecordingContext, Signals, Term, dense_signals
 
 CHUNK_S = 5.0  # longer than the correlation of a residual
 MIN_BOARD_RATE_RAD_S = 0.05  # a faster board is in motion

@@ -9,10 +9,9 @@ from functools import cached_property
 
 import numpy as np
 
-from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.data import FloatArray
 from gyrorig_solver.estimate.attitude.attitude_fit import AttitudeFit
-from gyrorig_solver.model.recording_context import RecordingContext
-from gyrorig_solver.model.signal_state import SignalState
+from gyrorig_solver.model import RecordingContext, SignalState
 
 MAX_STEP_S = 0.01  # steps for functions of the rates: hand motion is slower
 BLOCK_RATE_PER_BAND = 8.0  # block rate over the band

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.fft import dct, idct
 
-from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.data import FloatArray
 from gyrorig_solver.estimate.attitude.attitude_solver import smooth_power
 from gyrorig_solver.estimate.attitude.block_segments import BlockSegment
 from gyrorig_solver.estimate.noise.noise_model import (

@@ -15,8 +15,9 @@ from scipy.fft import idct
 from scipy.linalg import block_diag
 from scipy.sparse import coo_array, csc_array
 
-from gyrorig_solver.data.arrays import FloatArray, IntArray
+from gyrorig_solver.data import FloatArray, IntArray
 from gyrorig_solver.estimate.linear.packed_columns import column_products
+from gyrorig_solver.estimate.linear.whitening import WhitenedPart
 from gyrorig_solver.estimate.noise.noise_model import NoiseModel, dct_frequencies_hz
 from gyrorig_solver.estimate.noise.relative_std import (
     MAX_LOG_WEIGHT_CHANGE,
@@ -24,7 +25,6 @@ from gyrorig_solver.estimate.noise.relative_std import (
     mean_white_power,
     orthonormal_dct,
 )
-from gyrorig_solver.estimate.noise.whitening import WhitenedPart
 from gyrorig_solver.numerics import ArrowheadMatrix
 
 

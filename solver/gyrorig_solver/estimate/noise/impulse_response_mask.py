@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gyrorig_solver.data.arrays import BoolArray, FloatArray, IntArray
+from gyrorig_solver.data import BoolArray, FloatArray, IntArray
 
 ROWS_BEFORE, ROWS_AFTER = 2, 4  # rows before and after the outliers
 MAX_GROUP_ROWS = 6  # consecutive outliers: more are not an impulse

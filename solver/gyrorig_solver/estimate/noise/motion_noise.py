@@ -22,7 +22,7 @@ import numpy as np
 from scipy.fft import dct, idct
 from scipy.optimize import nnls
 
-from gyrorig_solver.data.arrays import BoolArray, FloatArray
+from gyrorig_solver.data import BoolArray, FloatArray
 from gyrorig_solver.estimate.noise.noise_estimation import SETTLING_TIME_S
 from gyrorig_solver.estimate.noise.noise_model import (
     NoiseModel,

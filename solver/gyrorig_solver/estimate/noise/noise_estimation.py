@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gyrorig_solver.data.arrays import BoolArray, FloatArray
+from gyrorig_solver.data import BoolArray, FloatArray
 from gyrorig_solver.estimate.noise.noise_model import Periodogram
 from gyrorig_solver.estimate.series import PART_BLOCKS, fast_dct_length
 

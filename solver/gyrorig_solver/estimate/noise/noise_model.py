@@ -20,7 +20,7 @@ from functools import lru_cache
 import numpy as np
 from scipy.fft import dct
 
-from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.data import FloatArray
 from gyrorig_solver.model.low_pass import power_gain
 
 ALIAS_ORDER = 4

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from gyrorig_solver.data.arrays import BoolArray, FloatArray
+from gyrorig_solver.data import BoolArray, FloatArray
 
 OUTLIER_SIGMA = 6.0  # the noise of the model hardly ever reaches this
 MAX_SAMPLES_FOR_SPREAD = 8192  # samples for the standard deviation

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.fft import dct, idct
 
-from gyrorig_solver.data.arrays import FloatArray, IntArray
+from gyrorig_solver.data import FloatArray, IntArray
 
 MAX_LOG_WEIGHT_CHANGE = 0.03  # of a variance; smaller changes keep the old weights
 

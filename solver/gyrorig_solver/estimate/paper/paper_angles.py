@@ -13,7 +13,7 @@ from typing import Literal
 
 import numpy as np
 
-from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.data import FloatArray
 
 Composition = Literal["printed", "right", "mechanism"]
 """How eq. 12 combines increments.

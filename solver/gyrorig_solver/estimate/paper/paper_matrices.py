@@ -12,7 +12,7 @@ from typing import Literal
 
 import numpy as np
 
-from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.data import FloatArray
 
 Factors = Literal["by_shape", "by_position", "product"]
 """The result of eq. 9, [S, T] = LU(ST); LU of a lower L gives (L D^-1) D, D = diag(L).

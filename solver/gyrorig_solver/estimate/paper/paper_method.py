@@ -15,7 +15,7 @@ from typing import Final, Literal
 
 import numpy as np
 
-from gyrorig_solver.data.arrays import BoolArray, FloatArray
+from gyrorig_solver.data import BoolArray, FloatArray
 from gyrorig_solver.estimate.paper import paper_angles as angles
 from gyrorig_solver.estimate.paper import paper_matrices as matrices
 

@@ -17,11 +17,11 @@ from typing import Literal
 
 import numpy as np
 
-from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.data import FloatArray
 from gyrorig_solver.fleet.column_units import column_label, column_unit
 from gyrorig_solver.fleet.drift.latest_calibrations import PARAMETER_COLUMNS, LatestCalibrations
 from gyrorig_solver.fleet.drift.population import MIN_BOARDS, Population, fit_population
-from gyrorig_solver.model.parameter_units import plural
+from gyrorig_solver.model import plural
 from gyrorig_solver.numerics import normal_upper_tail
 
 # The values of an ideal board on an ideal rig. A time offset has no nominal value.

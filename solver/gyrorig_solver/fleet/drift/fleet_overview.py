@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from gyrorig_solver.data.arrays import BoolArray, FloatArray
+from gyrorig_solver.data import BoolArray, FloatArray
 from gyrorig_solver.fleet.drift.common_offsets import OffsetComparison, compare_offsets
 from gyrorig_solver.fleet.drift.ewma_charts import (
     DriftChart,
@@ -45,9 +45,7 @@ from gyrorig_solver.fleet.drift.population import (
     fit_population,
     mahalanobis_p_values,
 )
-from gyrorig_solver.fleet.store.index_rows import NEWEST_FIRST_SQL
-from gyrorig_solver.fleet.store.store_backend import open_index
-from gyrorig_solver.fleet.store.store_index import StoreIndex
+from gyrorig_solver.fleet.store import NEWEST_FIRST_SQL, StoreIndex, open_index
 from gyrorig_solver.storage import Storage, storage_at
 
 __all__ = [

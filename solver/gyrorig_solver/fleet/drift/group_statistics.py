@@ -18,7 +18,7 @@ from gyrorig_solver.fleet.drift.latest_calibrations import (
     LatestCalibrations,
 )
 from gyrorig_solver.fleet.drift.population import MIN_BOARDS, Population, fit_spread, group_means
-from gyrorig_solver.fleet.store.store_index import StoreIndex
+from gyrorig_solver.fleet.store import StoreIndex
 
 
 @dataclass(frozen=True, slots=True)

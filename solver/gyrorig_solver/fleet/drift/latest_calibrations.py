@@ -17,9 +17,8 @@ import numpy.typing as npt
 
 from gyrorig_protocol.errors import InputError, UsageError
 from gyrorig_protocol.identity import BoardId
-from gyrorig_solver.data.arrays import BoolArray, FloatArray
-from gyrorig_solver.fleet.store.index_rows import NEWEST_FIRST_SQL, parameter_columns
-from gyrorig_solver.fleet.store.store_index import StoreIndex
+from gyrorig_solver.data import BoolArray, FloatArray
+from gyrorig_solver.fleet.store import NEWEST_FIRST_SQL, StoreIndex, parameter_columns
 
 GroupKind = Literal["rig", "lot", "site"]
 GROUP_KINDS: tuple[GroupKind, ...] = ("rig", "lot", "site")

@@ -18,7 +18,7 @@ from pathlib import Path
 
 from gyrorig_protocol.errors import MachineError
 from gyrorig_solver.fleet.jobs.recording_cache import RecordingCache
-from gyrorig_solver.fleet.jobs.session_job import Job, JobResult, SolveSettings, job_key
+from gyrorig_solver.fleet.jobs.session_job import Job, JobResult, SolveSettings
 from gyrorig_solver.fleet.jobs.spool_scanner import (
     RecordedSession,
     SpoolListing,
@@ -27,12 +27,11 @@ from gyrorig_solver.fleet.jobs.spool_scanner import (
     scan_spool,
 )
 from gyrorig_solver.fleet.jobs.workers import DeferredJob, WorkerPool, run_all
+from gyrorig_solver.fleet.store import IndexRow, StoreIndex, job_key
 from gyrorig_solver.fleet.store.bucket_index import cache_folder
 from gyrorig_solver.fleet.store.bucket_store import create_store
-from gyrorig_solver.fleet.store.index_rows import IndexRow
 from gyrorig_solver.fleet.store.manifest import Signer, write_manifests
 from gyrorig_solver.fleet.store.store_backend import RowJournal, WorkClaims, open_index_and_claims
-from gyrorig_solver.fleet.store.store_index import StoreIndex
 from gyrorig_solver.storage import Folder, Storage, storage_at
 
 RECORDING_CACHE_FILE = "spool-heads.sqlite"

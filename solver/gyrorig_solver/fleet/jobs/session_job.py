@@ -5,8 +5,6 @@ recording. What it raises is an error of the machine or of the store, and the jo
 deferred, not done.
 """
 
-import hashlib
-import json
 import time
 import traceback
 from collections.abc import Iterator, Sequence
@@ -21,22 +19,31 @@ from gyrorig_protocol.errors import GyrorigError, InputError, MachineError
 from gyrorig_protocol.identity import BoardId
 from gyrorig_protocol.recording.reader import read_recording
 from gyrorig_protocol.recording.recording import Recording
+from gyrorig_solver.calibration import (
+    CalibrationDocument,
+    CalibrationStore,
+    StoredVersion,
+    parse_calibration,
+)
 from gyrorig_solver.calibration.calibration_builder import settings_sha256
-from gyrorig_solver.calibration.calibration_document import CalibrationDocument, parse_calibration
-from gyrorig_solver.calibration.calibration_store import CalibrationStore, StoredVersion
 from gyrorig_solver.calibration.unit_document import UnitPosteriorDocument
 from gyrorig_solver.calibration.unit_store import UnitStore
 from gyrorig_solver.fleet.jobs.resource_limits import DeadlineExceededError, deadline, memory_limit
+from gyrorig_solver.fleet.store import IndexRow
 from gyrorig_solver.fleet.store.bucket_store import open_calibration_store
 from gyrorig_solver.fleet.store.index_rows import (
     MAX_TRACE_CHARS,
-    IndexRow,
     WorkStatus,
     calibration_row,
     index_time_text,
 )
-from gyrorig_solver.pipeline import CriticisedFit, UnitKnowledge, solve_and_store
-from gyrorig_solver.pipeline.criticised_fit import AUTO, fit_together
+from gyrorig_solver.pipeline import (
+    AUTO,
+    CriticisedFit,
+    UnitKnowledge,
+    fit_together,
+    solve_and_store,
+)
 from gyrorig_solver.pipeline.solve_board import likelihood_settings
 from gyrorig_solver.storage import Storage
 
@@ -86,12 +93,6 @@ class JobResult:
 
     key: str
     rows: tuple[IndexRow, ...]
-
-
-def job_key(digests: Sequence[str], solver_version: str, config_sha256: str) -> str:
-    """Return the key of a job: a hash of its recordings, the solver version and its settings."""
-    text = json.dumps([sorted(digests), solver_version, config_sha256])
-    return hashlib.sha256(text.encode()).hexdigest()
 
 
 def run_job(job: Job) -> JobResult:

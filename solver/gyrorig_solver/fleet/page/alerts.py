@@ -10,13 +10,9 @@ from itertools import islice
 import numpy as np
 
 from gyrorig_solver.fleet.column_units import column_label, column_unit, format_shift
-from gyrorig_solver.fleet.drift.common_offsets import (
-    CLOCK_PARAMETER,
-    CommonOffset,
-    OffsetComparison,
-)
-from gyrorig_solver.fleet.drift.fleet_overview import PARAMETER_COLUMNS, FleetOverview
-from gyrorig_solver.model.parameter_units import plural
+from gyrorig_solver.fleet.drift import PARAMETER_COLUMNS, FleetOverview, OffsetComparison
+from gyrorig_solver.fleet.drift.common_offsets import CLOCK_PARAMETER, CommonOffset
+from gyrorig_solver.model import plural
 
 MAX_BOARDS_NAMED = 20  # the page lists all of them
 CRYSTAL_TOLERANCE_PPM = 50.0  # usual tolerance of crystals; a clock within it raises no alert

@@ -20,9 +20,13 @@ from typing import Any
 import numpy as np
 
 from gyrorig_solver.fleet.column_units import column_label, column_unit
-from gyrorig_solver.fleet.drift.common_offsets import describe_offsets
-from gyrorig_solver.fleet.drift.fleet_overview import GROUP_KINDS, PARAMETER_COLUMNS, FleetOverview
-from gyrorig_solver.fleet.drift.group_statistics import groups_as_json
+from gyrorig_solver.fleet.drift import (
+    PARAMETER_COLUMNS,
+    FleetOverview,
+    describe_offsets,
+    groups_as_json,
+)
+from gyrorig_solver.fleet.drift.fleet_overview import GROUP_KINDS
 from gyrorig_solver.fleet.page.alerts import fleet_alerts
 from gyrorig_solver.fleet.page.history_scripts import (
     GroupDriftChart,
@@ -32,7 +36,7 @@ from gyrorig_solver.fleet.page.history_scripts import (
     history_shard,
     shared_chart_data,
 )
-from gyrorig_solver.fleet.store.store_backend import open_index
+from gyrorig_solver.fleet.store import open_index
 from gyrorig_solver.storage import Folder, Storage, storage_at
 
 PAGE_FOLDER = "fleet"

@@ -16,7 +16,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy import special
 
-from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.data import FloatArray
+from gyrorig_solver.fleet.drift import FleetOverview
 from gyrorig_solver.fleet.drift.ewma_charts import (
     FALSE_DISCOVERY_RATE,
     GROUP_FALSE_ALARM_RATE,
@@ -24,10 +25,8 @@ from gyrorig_solver.fleet.drift.ewma_charts import (
     Grouping,
     GroupShift,
 )
-from gyrorig_solver.fleet.drift.fleet_overview import FleetOverview
 from gyrorig_solver.fleet.drift.latest_calibrations import GROUP_KINDS, PARAMETER_COLUMNS
-from gyrorig_solver.fleet.store.index_rows import NEWEST_FIRST_SQL
-from gyrorig_solver.fleet.store.store_index import StoreIndex
+from gyrorig_solver.fleet.store import NEWEST_FIRST_SQL, StoreIndex
 
 HISTORY_FILES = 256
 MAX_POINTS_PER_BOARD = 60  # the latest of each board

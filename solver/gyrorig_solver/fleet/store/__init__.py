@@ -4,3 +4,28 @@ What to use when: `store_queries` to list and rebuild, `store_verification.verif
 `index_rows.IndexRow` for one row of the index, `store_backend` for the index and the claims of a
 batch in a folder or a bucket, `manifest` for digests and signatures.
 """
+
+from gyrorig_solver.fleet.store.index_rows import (
+    NEWEST_FIRST_SQL,
+    IndexRow,
+    job_key,
+    parameter_columns,
+)
+from gyrorig_solver.fleet.store.manifest import read_signer
+from gyrorig_solver.fleet.store.store_backend import open_index
+from gyrorig_solver.fleet.store.store_index import StoreIndex
+from gyrorig_solver.fleet.store.store_queries import open_existing_store, rebuild_index
+from gyrorig_solver.fleet.store.store_verification import verify
+
+__all__ = [
+    "NEWEST_FIRST_SQL",
+    "IndexRow",
+    "StoreIndex",
+    "job_key",
+    "open_existing_store",
+    "open_index",
+    "parameter_columns",
+    "read_signer",
+    "rebuild_index",
+    "verify",
+]

@@ -10,13 +10,10 @@ from pathlib import Path
 
 from gyrorig_protocol.errors import BusyError, MachineError, UsageError
 from gyrorig_protocol.identity import BoardId
+from gyrorig_solver.calibration import STORE_FILE, VERSION_FILE, CalibrationStore, StoredVersion
 from gyrorig_solver.calibration.calibration_store import (
     MAX_ATTEMPTS,
-    STORE_FILE,
     STORE_MARKER,
-    VERSION_FILE,
-    CalibrationStore,
-    StoredVersion,
     check_store_marker,
     create_sharded_store,
     sharded_folder_name,

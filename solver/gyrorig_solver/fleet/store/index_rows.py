@@ -5,13 +5,15 @@ one. A row has what queries about the fleet need, so that they need not open a m
 documents. The document remains authoritative.
 """
 
+import hashlib
+import json
 from collections.abc import Iterator, Sequence
 from datetime import datetime
 from typing import Literal
 
 import msgspec
 
-from gyrorig_solver.calibration.calibration_document import CalibrationDocument, Parameter
+from gyrorig_solver.calibration import CalibrationDocument, Parameter
 
 WorkStatus = Literal["ok", "rejected", "failed", "quarantined"]
 
@@ -67,6 +69,12 @@ class IndexRow(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     gyro_scale_rad_s: float | None = None  # the rate of one count
     seconds: float = 0.0  # processor time of the whole session
     parameters: dict[str, float] = {}
+
+
+def job_key(digests: Sequence[str], solver_version: str, config_sha256: str) -> str:
+    """Return the key of a job: a hash of its recordings, the solver version and its settings."""
+    text = json.dumps([sorted(digests), solver_version, config_sha256])
+    return hashlib.sha256(text.encode()).hexdigest()
 
 
 def parameter_columns() -> Iterator[str]:

@@ -16,16 +16,21 @@ from typing import Any
 
 from gyrorig_protocol.errors import GyrorigError, UsageError
 from gyrorig_protocol.identity import BoardId
-from gyrorig_solver.calibration.calibration_document import CalibrationDocument, parse_calibration
-from gyrorig_solver.calibration.calibration_store import (
+from gyrorig_solver.calibration import (
     STORE_FILE,
     VERSION_FILE,
+    CalibrationDocument,
     CalibrationStore,
     StoredVersion,
+    parse_calibration,
 )
-from gyrorig_solver.fleet.jobs.session_job import job_key
 from gyrorig_solver.fleet.store.bucket_store import open_calibration_store
-from gyrorig_solver.fleet.store.index_rows import NEWEST_FIRST_SQL, IndexRow, calibration_row
+from gyrorig_solver.fleet.store.index_rows import (
+    NEWEST_FIRST_SQL,
+    IndexRow,
+    calibration_row,
+    job_key,
+)
 from gyrorig_solver.fleet.store.manifest import Signer, remove_manifests, write_manifests
 from gyrorig_solver.fleet.store.store_backend import exclusive_access, open_index
 from gyrorig_solver.storage import Storage, StorageEntry, storage_at

@@ -13,7 +13,7 @@ from typing import Any
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PublicKey
 
 from gyrorig_protocol.errors import GyrorigError
-from gyrorig_solver.calibration.calibration_document import parse_calibration
+from gyrorig_solver.calibration import parse_calibration
 from gyrorig_solver.fleet.store.manifest import index_files, manifest_name, read_manifests
 from gyrorig_solver.fleet.store.store_backend import open_index
 from gyrorig_solver.fleet.store.store_queries import (

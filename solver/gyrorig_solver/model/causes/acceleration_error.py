@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.data import FloatArray
 from gyrorig_solver.model.replanned_moves import (
     compound_change,
     compound_moves,

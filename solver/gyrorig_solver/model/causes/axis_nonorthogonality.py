@@ -12,7 +12,7 @@ amount to every reading of an accelerometer, like its bias.
 
 import numpy as np
 
-from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.data import FloatArray
 from gyrorig_solver.model.signal_state import SignalState
 from gyrorig_solver.model.term import (
     NO_ANGLES,

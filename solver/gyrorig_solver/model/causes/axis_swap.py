@@ -6,7 +6,7 @@ far from any rotation that a mount can have. The nearest signed permutation iden
 
 import numpy as np
 
-from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.data import FloatArray
 from gyrorig_solver.model.signal_state import SignalState
 from gyrorig_solver.model.term import Kind, Part, Stage, TermParameter
 from gyrorig_solver.model.term_kinds import LinearTerm

@@ -15,7 +15,7 @@ covariance of the gain includes it.
 
 import numpy as np
 
-from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.data import FloatArray
 from gyrorig_solver.model.drive_effects import apply_play
 from gyrorig_solver.model.signal_state import SignalState
 from gyrorig_solver.model.term import (

@@ -12,7 +12,7 @@ none, one or both. The time of the jump is not known well enough, so the fit lea
 
 import numpy as np
 
-from gyrorig_solver.data.arrays import BoolArray, FloatArray
+from gyrorig_solver.data import BoolArray, FloatArray
 from gyrorig_solver.model.drive_effects import second_derivative
 from gyrorig_solver.model.signal_arrays import zero_signals
 from gyrorig_solver.model.signal_state import SignalState

@@ -8,7 +8,7 @@ energy).
 
 import numpy as np
 
-from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.data import FloatArray
 from gyrorig_solver.model.causes.acceleration_error import (
     limit_change_error,
     reason_without_profiles,

@@ -5,7 +5,7 @@ thermometer, or ageing. A board that warms itself by 3 K over 300 s drifts by 0.
 L3G4200D's 0.03 dps/K, as much as a warm-up.
 """
 
-from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.data import FloatArray
 from gyrorig_solver.model.signal_arrays import on_all_axes, split_axes
 from gyrorig_solver.model.signal_state import SignalState
 from gyrorig_solver.model.term import (

@@ -7,7 +7,7 @@ only where K is far above the value that is usual for the part.
 
 import numpy as np
 
-from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.data import FloatArray
 from gyrorig_solver.model.term import (
     BinnedDependence,
     Kind,

@@ -6,7 +6,7 @@ itself again can cause it (up to 0.4 rad/s in a flight log).
 
 import numpy as np
 
-from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.data import FloatArray
 from gyrorig_solver.model.signal_arrays import on_all_axes, split_axes
 from gyrorig_solver.model.signal_state import SignalState
 from gyrorig_solver.model.term import (

@@ -6,7 +6,7 @@ stage. A loose screw causes 0.1 to 1 deg. M changes in a step; bias and scale fa
 
 import numpy as np
 
-from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.data import FloatArray
 from gyrorig_solver.model.gain_matrix import cross_matrix, rotation_matrix
 from gyrorig_solver.model.signal_arrays import axis_rows
 from gyrorig_solver.model.signal_state import SignalState

@@ -6,7 +6,7 @@ y(t) = omega(t - tau): the time offset of the base model, which contains filter 
 
 import numpy as np
 
-from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.data import FloatArray
 from gyrorig_solver.model.signal_state import SignalState
 from gyrorig_solver.model.term import (
     BinnedDependence,

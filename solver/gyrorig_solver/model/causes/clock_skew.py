@@ -9,7 +9,7 @@ as large.
 
 import numpy as np
 
-from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.data import FloatArray
 from gyrorig_solver.model.signal_state import SignalState
 from gyrorig_solver.model.term import (
     BinnedDependence,

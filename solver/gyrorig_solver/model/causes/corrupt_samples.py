@@ -6,7 +6,7 @@ motion. A link without a check lets 46 % of the byte errors through as samples; 
 lets none through.
 """
 
-from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.data import FloatArray
 from gyrorig_solver.model.term import Kind, Part, Scope, TermParameter
 from gyrorig_solver.model.term_kinds import ZeroMeanTerm
 

@@ -11,7 +11,7 @@ from typing import Self
 
 import numpy as np
 
-from gyrorig_solver.data.arrays import BoolArray, FloatArray
+from gyrorig_solver.data import BoolArray, FloatArray
 from gyrorig_solver.model.signal_arrays import split_axes
 from gyrorig_solver.model.signal_state import SignalState
 from gyrorig_solver.model.term import (

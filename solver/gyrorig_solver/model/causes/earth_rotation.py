@@ -13,7 +13,7 @@ where the site is known.
 
 import numpy as np
 
-from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.data import FloatArray
 from gyrorig_solver.model.recording_context import Site
 from gyrorig_solver.model.signal_state import SignalState
 from gyrorig_solver.model.term import (

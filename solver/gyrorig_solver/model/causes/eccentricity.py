@@ -8,7 +8,7 @@ the same function cannot be separated from a sagging payload (see `tilt_sag`).
 
 import numpy as np
 
-from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.data import FloatArray
 from gyrorig_solver.model.signal_state import SignalState
 from gyrorig_solver.model.term import (
     BinnedDependence,

@@ -9,7 +9,7 @@ bias.
 
 import numpy as np
 
-from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.data import FloatArray
 from gyrorig_solver.model.recording_context import STANDARD_GRAVITY_M_S2
 from gyrorig_solver.model.signal_arrays import on_all_axes, split_axes, zero_signals
 from gyrorig_solver.model.signal_state import SignalState

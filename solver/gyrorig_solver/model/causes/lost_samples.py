@@ -7,7 +7,7 @@ board's own timestamps or sequence numbers separate the two.
 
 import numpy as np
 
-from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.data import FloatArray
 from gyrorig_solver.model.causes.clock_step import SCAN_TIMES, instants_after
 from gyrorig_solver.model.signal_state import SignalState
 from gyrorig_solver.model.term import (

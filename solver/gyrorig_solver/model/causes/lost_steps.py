@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gyrorig_solver.data.arrays import FloatArray, IntArray
+from gyrorig_solver.data import FloatArray, IntArray
 from gyrorig_solver.model.signal_arrays import zero_signals
 from gyrorig_solver.model.signal_state import SignalState
 from gyrorig_solver.model.term import Scope, Stage, TermParameter

@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.data import FloatArray
 from gyrorig_solver.model.low_pass import LowPass
 from gyrorig_solver.model.signal_state import SignalState
 from gyrorig_solver.model.term import (

@@ -5,7 +5,7 @@ were new. The raw counts show it: with noise above one count a true repetition o
 rare. In the mean it is a lag of share/2 periods, which is part of the time offset.
 """
 
-from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.data import FloatArray
 from gyrorig_solver.model.term import Kind, Part, Scope, TermParameter
 from gyrorig_solver.model.term_kinds import ZeroMeanTerm
 

@@ -7,7 +7,7 @@ acceleration. A is its share in the rotation of the stage. 5 to 60 Hz, damping 0
 
 import numpy as np
 
-from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.data import FloatArray
 from gyrorig_solver.model.drive_effects import resonance_deflection
 from gyrorig_solver.model.signal_state import SignalState
 from gyrorig_solver.model.term import (

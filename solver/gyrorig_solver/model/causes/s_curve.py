@@ -8,7 +8,7 @@ sign separates it from a compliant base.
 
 import numpy as np
 
-from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.data import FloatArray
 from gyrorig_solver.model.causes.acceleration_error import reason_without_profiles
 from gyrorig_solver.model.drive_effects import moving_average
 from gyrorig_solver.model.signal_state import SignalState

@@ -7,7 +7,7 @@ have 5 to 50 us. The mean shows only smoothing of order s^2.
 
 import numpy as np
 
-from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.data import FloatArray
 from gyrorig_solver.model.signal_state import SignalState
 from gyrorig_solver.model.term import Kind, Part, Scope, TermParameter
 from gyrorig_solver.model.term_kinds import ZeroMeanTerm

@@ -6,7 +6,7 @@ backward. 0.1 to 0.5 % (from memory). One BMI270 was wrong by 2 deg in ten turns
 
 import numpy as np
 
-from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.data import FloatArray
 from gyrorig_solver.model.signal_arrays import split_axes
 from gyrorig_solver.model.signal_state import SignalState
 from gyrorig_solver.model.term import (

@@ -4,7 +4,7 @@ y_i += c_i (G omega)_i^3. 0.2 % of a full scale of 250 deg/s at its end (L3G4200
 100 deg/s.
 """
 
-from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.data import FloatArray
 from gyrorig_solver.model.signal_arrays import split_axes
 from gyrorig_solver.model.signal_state import SignalState
 from gyrorig_solver.model.term import (

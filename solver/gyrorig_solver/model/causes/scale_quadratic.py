@@ -4,7 +4,7 @@ y_i += q_i (G omega)_i^2. Data sheets give only the total non-linearity (0.1 to 
 scale); 0.1 deg/s at 100 deg/s is a fifth of that at 250.
 """
 
-from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.data import FloatArray
 from gyrorig_solver.model.signal_arrays import split_axes
 from gyrorig_solver.model.signal_state import SignalState
 from gyrorig_solver.model.term import (

@@ -4,7 +4,7 @@ y_i' = -y_i. The gain and the bias absorb it completely. A mirrored gain (one ax
 negative determinant, which no mount can produce.
 """
 
-from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.data import FloatArray
 from gyrorig_solver.model.signal_arrays import split_axes
 from gyrorig_solver.model.signal_state import SignalState
 from gyrorig_solver.model.term import Kind, Part, Stage, TermParameter

@@ -6,7 +6,7 @@ completely, so nothing shows it. On tilt it shows in the direction of the pan ax
 frame over tilt.
 """
 
-from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.data import FloatArray
 from gyrorig_solver.model.signal_state import SignalState
 from gyrorig_solver.model.term import (
     ANGLE_COVARIATES,

@@ -7,7 +7,7 @@ element. Sampling aliases it and the block means attenuate it, and the model rep
 
 import numpy as np
 
-from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.data import FloatArray
 from gyrorig_solver.model.signal_arrays import on_all_axes, split_axes
 from gyrorig_solver.model.signal_state import SignalState
 from gyrorig_solver.model.term import Part, Scope, Stage, TermParameter

@@ -4,7 +4,7 @@ y_i += k_i (T - T0) (G omega)_i with T0 the mean of the recordings. Data sheets:
 (L3G4200D, MPU-6050), 0.016 %/K; 0.005 to 0.03 %/K for others.
 """
 
-from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.data import FloatArray
 from gyrorig_solver.model.causes.thermal_bias import (
     die_temperature_rise,
     reason_without_temperature,

@@ -7,7 +7,7 @@ over few tilts it looks like a wrong step size on tilt (correlation 0.99).
 
 import numpy as np
 
-from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.data import FloatArray
 from gyrorig_solver.model.signal_state import SignalState
 from gyrorig_solver.model.term import (
     BinnedDependence,

@@ -7,7 +7,7 @@ identifies it, because data sheets promise 2 to 15 %.
 
 import numpy as np
 
-from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.data import FloatArray
 from gyrorig_solver.model.signal_state import SignalState
 from gyrorig_solver.model.term import Kind, Part, Stage, TermParameter
 from gyrorig_solver.model.term_kinds import NonlinearTerm, scan_grid

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gyrorig_solver.data.arrays import BoolArray, FloatArray, IntArray
+from gyrorig_solver.data import BoolArray, FloatArray, IntArray
 from gyrorig_solver.reference.unit.motion_profile import MotionProfile
 from gyrorig_solver.reference.unit.move_table import MotionParameters, MoveTable
 from gyrorig_solver.reference.unit.trapezoidal_moves import SEGMENTS, TrapezoidalMoves

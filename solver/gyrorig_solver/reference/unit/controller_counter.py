@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gyrorig_solver.data.arrays import FloatArray, IntArray
+from gyrorig_solver.data import FloatArray, IntArray
 from gyrorig_solver.data.clocks.lower_envelope import Envelope, hull_line, piecewise_envelope
 from gyrorig_solver.data.clocks.tick_unwrapping import unwrap_ticks
 

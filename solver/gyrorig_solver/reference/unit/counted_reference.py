@@ -16,7 +16,7 @@ from typing import Self
 import numpy as np
 from scipy.sparse import csc_array
 
-from gyrorig_solver.data.arrays import BoolArray, FloatArray
+from gyrorig_solver.data import BoolArray, FloatArray
 from gyrorig_solver.numerics import ArrowheadMatrix, solve_arrowhead
 from gyrorig_solver.reference.reference_motion import EvaluatedMotion, LocalDerivative
 from gyrorig_solver.reference.unit.move_fit import UnitPolls

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.data import FloatArray
 from gyrorig_solver.reference.unit.law_information import LawInformation
 from gyrorig_solver.reference.unit.motion_law import RECORDED_LAW, MotionLaw
 from gyrorig_solver.reference.unit.move_fit import MoveFit, MoveFitIteration

@@ -9,7 +9,7 @@ from typing import Self
 
 import numpy as np
 
-from gyrorig_solver.data.arrays import FloatArray, IntArray
+from gyrorig_solver.data import FloatArray, IntArray
 from gyrorig_solver.numerics import ArrowheadMatrix, solve_arrowhead
 from gyrorig_solver.reference.unit.motion_law import LAW_VALUES
 from gyrorig_solver.reference.unit.move_equations import BandedNormalEquations

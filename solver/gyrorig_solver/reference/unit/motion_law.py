@@ -13,7 +13,7 @@ from typing import Literal
 
 import numpy as np
 
-from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.data import FloatArray
 
 LawQuantity = Literal["acceleration", "base_speed", "corner"]
 # The values of a law are pan and tilt of each quantity, in this order.

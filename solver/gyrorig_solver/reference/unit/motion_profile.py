@@ -15,7 +15,7 @@ from typing import Literal
 
 import numpy as np
 
-from gyrorig_solver.data.arrays import FloatArray, IntArray
+from gyrorig_solver.data import FloatArray, IntArray
 
 CommandKind = Literal["to", "by", "keep", "stop"]  # target, offset, new speed, halt
 # Tolerance of stopping distances, which are computed again after rounding.

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.data import FloatArray
 from gyrorig_solver.reference.reference_motion import LocalDerivative
 from gyrorig_solver.reference.unit.axis_trajectory import SampledTrajectory
 from gyrorig_solver.reference.unit.motion_law import MotionLaw

@@ -14,7 +14,7 @@ from typing import Self
 import numpy as np
 from scipy.linalg import cho_solve_banded, cholesky_banded
 
-from gyrorig_solver.data.arrays import FloatArray, IntArray
+from gyrorig_solver.data import FloatArray, IntArray
 from gyrorig_solver.reference.unit.move_table import MoveTable
 
 

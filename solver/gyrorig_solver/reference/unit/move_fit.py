@@ -26,7 +26,7 @@ from functools import cached_property
 
 import numpy as np
 
-from gyrorig_solver.data.arrays import BoolArray, FloatArray
+from gyrorig_solver.data import BoolArray, FloatArray
 from gyrorig_solver.numerics import ArrowheadMatrix
 from gyrorig_solver.reference.unit.axis_trajectory import Trajectory, build_trajectories
 from gyrorig_solver.reference.unit.law_information import LawInformation

@@ -5,7 +5,7 @@ from typing import Self
 
 import numpy as np
 
-from gyrorig_solver.data.arrays import BoolArray, FloatArray, IntArray
+from gyrorig_solver.data import BoolArray, FloatArray, IntArray
 from gyrorig_solver.reference.unit.motion_law import MotionLaw
 from gyrorig_solver.reference.unit.unit_moves import Move, UnitMotion
 

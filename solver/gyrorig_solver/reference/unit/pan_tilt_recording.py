@@ -12,7 +12,7 @@ import numpy as np
 from gyrorig_protocol.errors import InputError
 from gyrorig_protocol.recording.messages import PtuStatus
 from gyrorig_protocol.recording.recording import Recording, times_ns
-from gyrorig_solver.data.arrays import BoolArray, FloatArray, IntArray
+from gyrorig_solver.data import BoolArray, FloatArray, IntArray
 from gyrorig_solver.reference.unit.axis_trajectory import build_trajectories
 from gyrorig_solver.reference.unit.controller_counter import counter_instants
 from gyrorig_solver.reference.unit.counted_reference import CountedReference, counted_reference

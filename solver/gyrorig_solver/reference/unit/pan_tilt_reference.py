@@ -21,7 +21,7 @@ from typing import Self, cast
 
 import numpy as np
 
-from gyrorig_solver.data.arrays import BoolArray, FloatArray, IntArray
+from gyrorig_solver.data import BoolArray, FloatArray, IntArray
 from gyrorig_solver.numerics import ArrowheadMatrix, eliminate_local
 from gyrorig_solver.reference.reference_motion import EvaluatedMotion, LocalDerivative
 from gyrorig_solver.reference.unit.axis_trajectory import Trajectory

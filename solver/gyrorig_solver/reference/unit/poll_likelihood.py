@@ -12,7 +12,7 @@ from typing import Self
 
 import numpy as np
 
-from gyrorig_solver.data.arrays import BoolArray, FloatArray, IntArray
+from gyrorig_solver.data import BoolArray, FloatArray, IntArray
 from gyrorig_solver.reference.unit.axis_trajectory import Trajectory
 from gyrorig_solver.reference.unit.motion_law import LAW_QUANTITIES, LAW_VALUES, MotionLaw
 from gyrorig_solver.reference.unit.move_equations import BandedNormalEquations

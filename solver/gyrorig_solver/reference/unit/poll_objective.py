@@ -11,7 +11,7 @@ from typing import Self
 
 import numpy as np
 
-from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.data import FloatArray
 from gyrorig_solver.reference.unit.motion_law import MotionLaw
 from gyrorig_solver.reference.unit.move_table import MotionParameters, MoveTable
 from gyrorig_solver.reference.unit.poll_likelihood import (

@@ -9,7 +9,7 @@ the gyro measures it and the counts do not.
 import numpy as np
 from scipy.sparse import csc_array
 
-from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.data import FloatArray
 from gyrorig_solver.numerics import ArrowheadMatrix
 from gyrorig_solver.reference.unit.move_equations import BandedNormalEquations
 

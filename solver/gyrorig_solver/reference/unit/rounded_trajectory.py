@@ -13,7 +13,7 @@ from typing import Self
 
 import numpy as np
 
-from gyrorig_solver.data.arrays import BoolArray, FloatArray, IntArray
+from gyrorig_solver.data import BoolArray, FloatArray, IntArray
 from gyrorig_solver.reference.unit.axis_trajectory import (
     SampledTrajectory,
     Trajectory,

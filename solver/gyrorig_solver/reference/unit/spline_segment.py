@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import cho_solve_banded, cholesky_banded
 
-from gyrorig_solver.data.arrays import FloatArray, IntArray
+from gyrorig_solver.data import FloatArray, IntArray
 
 KNOT_SPACING_RANGE_S = (0.02, 0.05)  # shortest, longest distance of knots
 POLLS_PER_KNOT = 2.0

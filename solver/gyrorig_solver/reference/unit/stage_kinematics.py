@@ -11,7 +11,7 @@ from typing import Self
 
 import numpy as np
 
-from gyrorig_solver.data.arrays import FloatArray, IntArray
+from gyrorig_solver.data import FloatArray, IntArray
 
 
 def stage_rate(

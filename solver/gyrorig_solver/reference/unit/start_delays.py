@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.data import FloatArray
 from gyrorig_solver.reference.unit.move_table import MoveTable
 from gyrorig_solver.reference.unit.poll_likelihood import AxisCounts, grouped_median
 from gyrorig_solver.reference.unit.trapezoidal_moves import TrapezoidalMoves

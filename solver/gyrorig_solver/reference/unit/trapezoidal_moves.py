@@ -12,7 +12,7 @@ from typing import Self
 
 import numpy as np
 
-from gyrorig_solver.data.arrays import FloatArray, IntArray
+from gyrorig_solver.data import FloatArray, IntArray
 
 SEGMENTS = 4  # ramp up, cruise, ramp down, standstill
 

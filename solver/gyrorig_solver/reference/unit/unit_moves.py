@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.data import FloatArray
 from gyrorig_solver.reference.unit.motion_law import MotionLaw
 from gyrorig_solver.reference.unit.motion_profile import (
     CommandKind,

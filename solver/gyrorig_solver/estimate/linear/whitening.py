@@ -16,7 +16,7 @@ from typing import Self
 import numpy as np
 from scipy.fft import idct
 
-from gyrorig_solver.data.arrays import BoolArray, FloatArray, IntArray
+from gyrorig_solver.data import BoolArray, FloatArray, IntArray
 from gyrorig_solver.estimate.cascade import PassThrough
 from gyrorig_solver.estimate.linear.packed_columns import PackedColumns
 from gyrorig_solver.estimate.noise.noise_model import NoiseModel
