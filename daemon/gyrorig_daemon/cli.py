@@ -50,7 +50,9 @@ def run(arguments: Sequence[str]) -> int:
 def _run_command(arguments: list[str], terminal: "Terminal") -> object:
     name, words = "gyrorigd", list(arguments)
     while words and words[0] in _GROUP_FLAGS:
-        terminal.traceback |= words.pop(0) == "--traceback"
+        word = words.pop(0)
+        terminal.traceback |= word == "--traceback"
+        terminal.quiet |= word in ("-q", "--quiet")
     # Two commands must start quickly, and also where most of the program cannot be loaded.
     if words[:1] == ["halt"]:
         from gyrorig_daemon.commands.halt_command import halt_command as command  # noqa: PLC0415
@@ -62,10 +64,15 @@ def _run_command(arguments: list[str], terminal: "Terminal") -> object:
         from gyrorig_daemon.commands.command_group import cli  # noqa: PLC0415
 
         return cli.main(arguments, prog_name=name, standalone_mode=False, obj=terminal)
-    from gyrorig_daemon.commands.terminal import keep_example_lines  # noqa: PLC0415
+    from gyrorig_daemon.commands.terminal import (  # noqa: PLC0415
+        ProgressLine,
+        is_interactive,
+        keep_example_lines,
+    )
 
     command = keep_example_lines(command)
-    return command.main(words[1:], prog_name=f"{name} {words[0]}", standalone_mode=False)
+    with ProgressLine(is_interactive() and not terminal.quiet):
+        return command.main(words[1:], prog_name=f"{name} {words[0]}", standalone_mode=False)
 
 
 def _report_error(error: Exception, as_json: bool) -> int:

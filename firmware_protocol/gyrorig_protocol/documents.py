@@ -17,9 +17,11 @@ import yaml
 
 from gyrorig_protocol.errors import GyrorigError, InputError, UsageError
 from gyrorig_protocol.file_kinds import (
+    EMPTY_FILE,
     HEAD_BYTES,
     NEVER_YAML,
     describe_file_kind,
+    explain_wrong_kind,
     explain_wrong_schema,
 )
 
@@ -38,7 +40,9 @@ _Loader: type[Any] = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 _Dumper: type[Any] = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
 
 
-def parse_yaml(text: str | bytes, name: str, error: type[GyrorigError] = UsageError) -> Any:
+def parse_yaml(
+    text: str | bytes, name: str, error: type[GyrorigError] = UsageError, schema: str = ""
+) -> Any:
     """Parse one YAML document and return its value.
 
     These are rejected: aliases, tags, several documents, more than 20 levels, more than 4 MB,
@@ -54,14 +58,15 @@ def parse_yaml(text: str | bytes, name: str, error: type[GyrorigError] = UsageEr
         text: the document.
         name: the document's name in an error, usually its file name.
         error: the class of error to raise, by who must act.
+        schema: the expected schema, to name the expected kind if the file is no YAML document.
 
     Raises:
         GyrorigError: of the given class; the text is not such a document.
     """
     head = text[:HEAD_BYTES]
     kind = describe_file_kind(head.encode(errors="replace") if isinstance(head, str) else head)
-    if kind in NEVER_YAML:
-        raise error(f"{name} is {kind}. A YAML document is expected here", "give the right file")
+    if kind in NEVER_YAML or (schema and kind == EMPTY_FILE):
+        raise error(*explain_wrong_kind(name, kind, schema))
     if len(text) > MAX_DOCUMENT_BYTES:
         raise error(
             f"{name} is larger than {MAX_DOCUMENT_BYTES // 1_000_000} MB, the largest document "
@@ -130,7 +135,7 @@ def parse_result_document(text: str | bytes, name: str, kind: type[T], schema: s
     Raises:
         InputError: it is not YAML, has another schema, or does not keep the contract.
     """
-    value = parse_yaml(text, name, InputError)
+    value = parse_yaml(text, name, InputError, schema)
     found_schema = value.get("schema") if isinstance(value, dict) else None
     wrong_schema = explain_wrong_schema(name, found_schema, schema)
     if wrong_schema is not None:

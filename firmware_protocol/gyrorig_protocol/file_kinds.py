@@ -1,8 +1,8 @@
 """File kinds: recognise a file by its first bytes, to name what was given by mistake.
 
 What to use when: `describe_file_kind` when a file cannot be read as what was asked for;
-`describe_schema` for the `schema` of a YAML document; `explain_wrong_schema` for the text of
-the error. Nothing here decides how a file is read.
+`describe_schema` for the `schema` of a YAML document; `explain_wrong_schema` and
+`explain_wrong_kind` for the text of the error. Nothing here decides how a file is read.
 """
 
 import re
@@ -14,7 +14,8 @@ REPORT_PAGE = "a report page (HTML)"
 NUMPY_ARCHIVE = "a NumPy archive (npz)"
 CSV_TABLE = "a table (CSV)"
 EMPTY_FILE = "an empty file"
-NEVER_YAML = frozenset({RECORDING, REPORT_PAGE, NUMPY_ARCHIVE})
+ZIP_ARCHIVE = "a ZIP archive"
+NEVER_YAML = frozenset({RECORDING, REPORT_PAGE, NUMPY_ARCHIVE, ZIP_ARCHIVE, CSV_TABLE})
 
 _SCHEMA_KINDS = {
     "calibration": "a calibration",
@@ -52,7 +53,7 @@ def describe_file_kind(head: bytes) -> str:
     elif head.startswith(b"\x89MCAP0\r\n"):
         kind = RECORDING
     elif head.startswith(b"PK"):
-        kind = NUMPY_ARCHIVE if b".npy" in head else "a ZIP archive"
+        kind = NUMPY_ARCHIVE if b".npy" in head else ZIP_ARCHIVE
     elif start.startswith(("<!doctype html", "<html")):
         kind = REPORT_PAGE
     elif b"\0" in head or text.count("\ufffd") > 1:  # one: a character that was cut at the end
@@ -94,3 +95,19 @@ def explain_wrong_schema(name: str, schema: object, expected: str) -> tuple[str,
     else:
         problem = f"{name} is not {expected_kind}, because its schema is {str(schema)[:40]!r}"
     return problem, f"give a file with schema {expected}"
+
+
+def explain_wrong_kind(name: str, kind: str, schema: str = "") -> tuple[str, str]:
+    """Return the problem and the remedy for a file of another kind.
+
+    Args:
+        name: the document, usually its file name.
+        kind: the kind of the file, from `describe_file_kind`.
+        schema: the only schema that can be read here; "" for any document.
+    """
+    expected = describe_schema(schema) or "a document (YAML)"
+    remedy = f"give a file with schema {schema}" if schema else "give the right file"
+    return (
+        f"{name} is {kind}. {expected[0].upper()}{expected[1:]} is expected here",
+        remedy,
+    )

@@ -1,7 +1,7 @@
 """Suggestions for a mistyped word: the nearest of the words that are known."""
 
 import difflib
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 
 def closest_words(word: str, known: Iterable[str], count: int = 3) -> list[str]:
@@ -18,3 +18,14 @@ def did_you_mean(word: str, known: Iterable[str], count: int = 3) -> str:
         return ""
     listed = words[0] if len(words) == 1 else f"{', '.join(words[:-1])} or {words[-1]}"
     return f"did you mean {listed}?"
+
+
+def list_closest(word: str, known: Sequence[str], count: int = 3) -> str:
+    """Return the `count` known words that resemble `word` most, and how many others there are.
+
+    Where nothing resembles `word`, these are the first known words: "C1, C2, C3, or one of 13
+    others".
+    """
+    words = closest_words(word, known, count) or list(known[:count])
+    others = len(known) - len(words)
+    return ", ".join(words) + (f", or one of {others} others" if others else "")

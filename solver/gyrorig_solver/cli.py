@@ -126,6 +126,7 @@ def cli(terminal: Terminal, quiet: bool, verbose: bool, traceback: bool) -> None
     """
     terminal.traceback = traceback
     terminal.quiet, terminal.verbose = quiet, verbose
+    click.get_current_context().with_resource(terminal.show_elapsed_time())
 
 
 _keep_example_lines(cli)

@@ -24,7 +24,7 @@ from gyrorig_daemon.links.pump import StopFlag
 from gyrorig_daemon.session import record_modes
 from gyrorig_daemon.session.emulation_options import estimate_session_s
 from gyrorig_daemon.session.session_description import SessionRequest
-from gyrorig_daemon.session.session_environment import SessionSummary, ignore_event, ignore_progress
+from gyrorig_daemon.session.session_environment import SessionSummary, ignore_event
 from gyrorig_protocol.errors import InputError, UsageError
 from gyrorig_protocol.identity import BoardId
 from gyrorig_protocol.program import parse_program
@@ -96,14 +96,14 @@ def record_command(context: click.Context, /, **options: Any) -> None:
         commitments.append(sha256)
         print_commitment(sha256)
 
-    with _stop_by_signal() as stop:
+    with _stop_by_signal() as stop, ProgressLine(shows_progress) as progress:
         task = record_modes.RecordTask(
             request=request,
             config_path=config_path,
             emulation=emulation_options(options, estimate_session_s(request.program)),
             host=socket.gethostname(),
             stop=stop,
-            progress=ProgressLine("step") if shows_progress else ignore_progress,
+            progress=progress,
             on_commitment=publish_commitment,
             on_event=_print_event if terminal.verbose else ignore_event,
             on_summary=lambda summary: _print_summary(summary, terminal),

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import click
 
+from gyrorig_daemon.commands.terminal import ProgressLine, Terminal, is_interactive
 from gyrorig_daemon.recorder.recovery import RecoveryOutcome, recover_folder
 from gyrorig_protocol.errors import MachineError
 
@@ -21,7 +22,8 @@ from gyrorig_protocol.errors import MachineError
     help="How many bytes must stay free on the disk.",
 )
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
-def recover_command(folder: Path, reserve_bytes: int, as_json: bool) -> None:
+@click.pass_obj
+def recover_command(terminal: Terminal, folder: Path, reserve_bytes: int, as_json: bool) -> None:
     r"""Finish the unfinished recordings in FOLDER.
 
     Everything undamaged is copied to a new file, which is verified. The originals are kept in
@@ -32,7 +34,8 @@ def recover_command(folder: Path, reserve_bytes: int, as_json: bool) -> None:
     Example:
       gyrorigd recover /var/lib/gyrorig/recordings
     """
-    recoveries = recover_folder(folder, reserve_bytes)
+    with ProgressLine(is_interactive() and not terminal.quiet):
+        recoveries = recover_folder(folder, reserve_bytes)
     if as_json:
         reports = [
             {

@@ -6,12 +6,16 @@ than two seconds.
 """
 
 import sys
+import threading
 import time
 from dataclasses import dataclass
+from types import TracebackType
+from typing import Self
 
 import click
 
 CONTEXT = {"help_option_names": ["-h", "--help"]}
+ELAPSED_AFTER_S = 2.0  # a shorter command shows no time
 REDRAW_S = 0.2  # a terminal need not be redrawn more often
 
 
@@ -30,22 +34,53 @@ class Terminal:
 
 
 class ProgressLine:
-    """One line on standard error that shows the steps done and the elapsed time."""
+    """One line on standard error with the elapsed time of a command, and the steps done.
 
-    def __init__(self, unit: str) -> None:
-        self._unit = unit
+    A context manager. Text that the command prints replaces the line.
+    """
+
+    def __init__(self, is_shown: bool) -> None:
+        self._is_shown = is_shown
+        self._text = ""
         self._start_s = self._drawn_s = time.monotonic()
+        self._finished = threading.Event()
+        self._thread = threading.Thread(target=self._redraw, daemon=True)
+
+    def __enter__(self) -> Self:
+        """Begin to show the elapsed time, after two seconds."""
+        if self._is_shown:
+            self._thread.start()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Erase the line."""
+        if self._is_shown:
+            self._finished.set()
+            self._thread.join()
+            click.echo("\r\x1b[K", nl=False, err=True)
 
     def __call__(self, step: int, total: int) -> None:
-        """Draw the line again. Call it as often as convenient."""
-        now_s = time.monotonic()
+        """Draw the line with a step. Call it as often as convenient."""
+        self._text = f"step {min(step + 1, total)} of {total}, "
         is_end = step == total
-        if now_s - self._drawn_s < REDRAW_S and not is_end:
-            return
-        self._drawn_s = now_s
-        elapsed = time.strftime("%M:%S", time.gmtime(now_s - self._start_s))
-        text = f"\r{self._unit} {min(step + 1, total)} of {total}, {elapsed} elapsed "
-        click.echo(text, nl=is_end, err=True)
+        if self._is_shown and (is_end or time.monotonic() - self._drawn_s >= REDRAW_S):
+            self._draw("\n" if is_end else "\r")
+
+    def _redraw(self) -> None:
+        wait_s = ELAPSED_AFTER_S
+        while not self._finished.wait(wait_s):
+            wait_s = 1.0
+            self._draw("\r")
+
+    def _draw(self, end: str) -> None:
+        self._drawn_s = time.monotonic()
+        elapsed = time.strftime("%M:%S", time.gmtime(self._drawn_s - self._start_s))
+        click.echo(f"\r{self._text}{elapsed} elapsed {end}", nl=False, err=True)
 
 
 def is_interactive() -> bool:

@@ -194,7 +194,7 @@ def parse_rig(text: str | bytes, name: str, folder: Path | None = None) -> RigCo
     Raises:
         UsageError: the document is invalid; the text gives the place and the reason.
     """
-    rig = convert_document(parse_yaml(text, name), RigConfig, name)
+    rig = convert_document(parse_yaml(text, name, schema=SCHEMA), RigConfig, name)
     if folder is not None:
         boards = tuple(_with_dbc_text(board, folder) for board in rig.boards)
         rig = msgspec.structs.replace(rig, boards=boards)

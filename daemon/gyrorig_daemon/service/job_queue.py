@@ -122,7 +122,7 @@ def parse_job(text: bytes, name: str, path: Path | None = None) -> SessionJob:
     Raises:
         UsageError: the document is not a valid job.
     """
-    document = parse_yaml(text, name)
+    document = parse_yaml(text, name, schema=SCHEMA)
     if isinstance(document, dict) and str(document.get("schema", "")) != SCHEMA:
         try:  # YAML also permits UTF-16, which the program text cannot be
             job_document = JobDocument(program=text.decode("utf-8"))

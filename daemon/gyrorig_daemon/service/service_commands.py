@@ -20,6 +20,7 @@ from gyrorig_daemon.service.service_protocol import DEFAULT_SOCKET, SOCKET_NAME
 from gyrorig_daemon.service.state_folder import DEFAULT_STATE_FOLDER as DEFAULT_STATE
 from gyrorig_daemon.service.state_folder import is_in_use
 from gyrorig_daemon.service.status_screen import render_status
+from gyrorig_protocol.errors import MachineError, sentence
 
 _FILE_PATH = click.Path(path_type=Path, dir_okay=False)
 _FOLDER_PATH = click.Path(path_type=Path, file_okay=False)
@@ -131,14 +132,19 @@ def enqueue_command(
 
     Example: gyrorigd enqueue --program config/programs/survey-130.yaml
     """
-    path = enqueue_job(
-        state / "queue", read_document(program_path), program_path.name, session, home
-    )
+    program = read_document(program_path)
+    no_daemon = "" if is_in_use(state) else f"no daemon is running with the state folder {state}"
+    try:
+        path = enqueue_job(state / "queue", program, program_path.name, session, home)
+    except MachineError as error:
+        if not no_daemon:
+            raise
+        raise MachineError(f"{error.problem}, and {no_daemon}", error.remedy) from error
     click.echo(json.dumps({"job": path.stem, "file": str(path)}) if as_json else path.stem)
-    if not is_in_use(state):
+    if no_daemon:
         click.echo(
-            f"No daemon is running with the state folder {state}. The job starts when you "
-            "start the daemon with `gyrorigd run` or `systemctl start gyrorigd`.",
+            f"{sentence(no_daemon)} The job starts when you start the daemon with `gyrorigd run` "
+            "or `systemctl start gyrorigd`.",
             err=True,
         )
 

@@ -6,6 +6,8 @@ import msgspec
 
 from gyrorig_protocol.documents import convert_document, parse_yaml
 
+SCHEMA = "gyrorig/sensor/1"
+
 Positive = Annotated[float, msgspec.Meta(gt=0.0)]
 
 
@@ -71,4 +73,4 @@ def parse_profile(text: str | bytes, name: str) -> SensorProfile:
     Raises:
         UsageError: the document is not a profile; the text gives the place and the reason.
     """
-    return convert_document(parse_yaml(text, name), SensorProfile, name)
+    return convert_document(parse_yaml(text, name, schema=SCHEMA), SensorProfile, name)

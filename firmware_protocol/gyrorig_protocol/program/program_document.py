@@ -108,7 +108,7 @@ def parse_program(text: str | bytes, name: str) -> MotionProgram:
     Raises:
         UsageError: the document is not a program; the text gives the place and the reason.
     """
-    program = convert_document(parse_yaml(text, name), MotionProgram, name)
+    program = convert_document(parse_yaml(text, name, schema=SCHEMA), MotionProgram, name)
     count = 0
     for _ in unroll_steps(program.steps, name):
         count += 1

@@ -22,6 +22,7 @@ from gyrorig_protocol.recording.encoding.sensor_imu_packing import (
 from gyrorig_protocol.recording.reader import read_recording
 from gyrorig_protocol.recording.recording import Recording
 from gyrorig_protocol.recording.recording_copy import MessageBatch, NewTopic, copy_with_topics
+from gyrorig_protocol.suggestions import list_closest
 from gyrorig_solver.apply.board_calibration import Calibration
 from gyrorig_solver.apply.correction import Correction
 from gyrorig_solver.data import BoolArray, FloatArray, IntArray
@@ -100,7 +101,7 @@ def apply_to_recording(
 def _choose_board(calibration: Calibration, recording: Recording, wanted: str | None) -> BoardId:
     name = wanted or calibration.board
     if name not in recording.board_ids:
-        board_names = ", ".join(recording.board_ids) or "none"
+        board_names = list_closest(name, recording.board_ids) or "none"
         raise InputError(
             f"{recording.path.name} does not contain board {name}, but only {board_names}",
             "if the same board has another name in the recording, give this name with --board",

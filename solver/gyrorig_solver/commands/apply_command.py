@@ -17,7 +17,13 @@ from gyrorig_solver.apply.corrected_table import (
     apply_to_table,
 )
 from gyrorig_solver.apply.correction import LAG_NOTE
-from gyrorig_solver.commands.terminal import Terminal, json_option, output_option
+from gyrorig_solver.commands.terminal import (
+    SuggestingChoice,
+    Terminal,
+    json_option,
+    output_option,
+)
+from gyrorig_solver.data.text_table import check_text_table
 
 _RECORDING_SUFFIXES = (".mcap", ".part")
 
@@ -31,7 +37,7 @@ _RECORDING_SUFFIXES = (".mcap", ".part")
 )
 @click.option(
     "--frame",
-    type=click.Choice(FRAMES),
+    type=SuggestingChoice(FRAMES),
     default="stage",
     show_default=True,
     help="Axes of the corrected rates: stage, or sensor (orthogonalised).",
@@ -44,7 +50,7 @@ _RECORDING_SUFFIXES = (".mcap", ".part")
 )
 @click.option(
     "--unit",
-    type=click.Choice(READING_UNITS),
+    type=SuggestingChoice(READING_UNITS),
     default="counts",
     show_default=True,
     help="For a table: unit of --columns.",
@@ -59,7 +65,7 @@ _RECORDING_SUFFIXES = (".mcap", ".part")
 )
 @click.option(
     "--time-unit",
-    type=click.Choice(tuple(TIME_UNITS_S)),
+    type=SuggestingChoice(tuple(TIME_UNITS_S)),
     default="s",
     show_default=True,
     help="For a table: unit of --time.",
@@ -108,6 +114,7 @@ def apply_command(
                 f"the option --board is only for recordings, but {source.name} is a table",
                 "remove the option --board",
             )
+        check_text_table(source)
         table_columns = _table_columns(source, columns, unit, temperature, time, time_unit)
         result_json = _apply_to_table(terminal, correction, source, out, table_columns)
     not_applied = [

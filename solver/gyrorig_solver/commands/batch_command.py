@@ -2,7 +2,6 @@
 
 import os
 import shutil
-import sys
 from collections import Counter
 from contextlib import AbstractContextManager, ExitStack
 from pathlib import Path
@@ -11,7 +10,13 @@ from typing import Any
 import click
 
 from gyrorig_protocol.errors import UsageError
-from gyrorig_solver.commands.terminal import PARTIAL, Terminal, json_option, version_text
+from gyrorig_solver.commands.terminal import (
+    PARTIAL,
+    SuggestingChoice,
+    Terminal,
+    json_option,
+    version_text,
+)
 from gyrorig_solver.commands.unit_prior_option import read_unit_knowledge, unit_prior_option
 from gyrorig_solver.fleet.jobs import BatchSummary, SolveSettings, local_pools, run_batch
 from gyrorig_solver.fleet.jobs.batch_run import Shard
@@ -70,7 +75,7 @@ _RETRY_STATUSES = ("rejected", "failed", "quarantined")
 )
 @click.option(
     "--extend",
-    type=click.Choice(["none", "auto"]),
+    type=SuggestingChoice(["none", "auto"]),
     default=AUTO,
     show_default=True,
     help="auto: search each recording for causes, and fit the causes that are found; "
@@ -79,7 +84,7 @@ _RETRY_STATUSES = ("rejected", "failed", "quarantined")
 @click.option(
     "--retry",
     multiple=True,
-    type=click.Choice(_RETRY_STATUSES),
+    type=SuggestingChoice(_RETRY_STATUSES),
     help="Repeat work that ended with this status; can be given several times.  [default: none]",
 )
 @click.option(
@@ -150,7 +155,7 @@ def batch_command(
             "the options --tls-ca, --tls-cert and --tls-key work only with the option --scheduler",
             "add --scheduler tls://HOST:8786, or remove the three options",
         )
-    bar, own_shard = _ProgressBar(), _parse_shard(shard)
+    bar, own_shard = _ProgressBar(terminal), _parse_shard(shard)
     signer = None if sign is None else read_signer(sign)
     with ExitStack() as stack:
         if scheduler is None:
@@ -206,32 +211,28 @@ def _dask_pools(
 
 
 class _ProgressBar:
-    """Progress line on standard error, if that is a terminal: count, rate, time left."""
+    """Progress line on a terminal: count, rate, time left, elapsed time."""
 
-    def __init__(self) -> None:
-        self._is_shown = sys.stderr.isatty()
+    def __init__(self, terminal: Terminal) -> None:
+        self._terminal = terminal
 
     def show(self, summary: BatchSummary) -> None:
-        if not self._is_shown:
-            return
         finished, total = summary.finished + summary.deferred, summary.to_do
-        width = max(10, min(40, shutil.get_terminal_size().columns - 60))
+        width = max(10, min(40, shutil.get_terminal_size().columns - 85))
         full = width * finished // max(total, 1)
         remaining = (
             "" if summary.remaining_s is None else f", {_duration_text(summary.remaining_s)} left"
         )
         not_ok_count = finished - summary.sessions_by_status["ok"]
-        click.echo(
-            f"\r[{'#' * full}{'.' * (width - full)}] {finished} of {total} sessions, "
+        self._terminal.show_status(
+            f"[{'#' * full}{'.' * (width - full)}] {finished} of {total} sessions, "
             f"{summary.sessions_per_second:.1f} per second{remaining}"
-            f"{f', {not_ok_count} not ok' if not_ok_count else ''}\x1b[K",
-            nl=False,
-            err=True,
+            f"{f', {not_ok_count} not ok' if not_ok_count else ''}"
         )
 
     def end(self) -> None:
-        if self._is_shown:
-            click.echo(err=True)
+        self._terminal.show_status("")
+        self._terminal.erase_elapsed_time()
 
 
 def _parse_shard(text: str | None) -> Shard:

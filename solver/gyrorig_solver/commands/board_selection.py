@@ -3,6 +3,7 @@
 from gyrorig_protocol.errors import InputError
 from gyrorig_protocol.identity import BoardId
 from gyrorig_protocol.recording.recording import Recording
+from gyrorig_protocol.suggestions import list_closest
 
 
 def select_boards(recording: Recording, wanted: str | None) -> tuple[BoardId, ...]:
@@ -22,6 +23,6 @@ def select_boards(recording: Recording, wanted: str | None) -> tuple[BoardId, ..
     if wanted not in available:
         raise InputError(
             f"the recording {recording.path.name} does not contain board {wanted!r:.50}",
-            f"choose one of its boards with --board: {', '.join(available)}",
+            f"choose one of its boards with --board: {list_closest(wanted, available)}",
         )
     return (BoardId(wanted),)

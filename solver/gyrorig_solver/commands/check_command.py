@@ -42,10 +42,10 @@ def check_command(terminal: Terminal, recordings: tuple[Path, ...], board: str |
     paths = _recordings_of(recordings)
     for path in paths:
         try:
-            with terminal.show_progress(f"reading {path.name}"):
-                recording = read_recording(path)
-                wanted = select_boards(recording, board) if board else recording.board_ids
-                examined.append(examine_recording(recording, wanted))
+            terminal.print_progress(f"reading {path.name}")
+            recording = read_recording(path)
+            wanted = select_boards(recording, board) if board else recording.board_ids
+            examined.append(examine_recording(recording, wanted))
         except GyrorigError as fault:
             faults.append(fault)
             failed.append({"recording": str(path), "error": str(fault)})

@@ -109,7 +109,8 @@ def demo_command(
         ) from fault
     seed_text = "" if seed is None else f", seed {seed}"
     terminal.print_result(f"1  Recording on an emulated rig{seed_text}, program {program.stem}")
-    demo_recording = _record_session(out, seed, program, hide)
+    with terminal.hide_elapsed_time():  # the daemon shows its own
+        demo_recording = _record_session(out, seed, program, hide)
     recording = read_recording(demo_recording.path)
     terminal.print_result(f"   {demo_recording.path}")
     if demo_recording.seal:

@@ -6,7 +6,12 @@ import click
 
 from gyrorig_protocol.errors import UsageError
 from gyrorig_solver.apply import FRAMES, Frame, read_calibration
-from gyrorig_solver.commands.terminal import Terminal, json_option, output_option
+from gyrorig_solver.commands.terminal import (
+    SuggestingChoice,
+    Terminal,
+    json_option,
+    output_option,
+)
 from gyrorig_solver.export import FORMATS, ExportOptions, ExportSource, export_text
 from gyrorig_solver.storage import write_file
 
@@ -14,12 +19,12 @@ from gyrorig_solver.storage import write_file
 @click.command("export")
 @click.argument("calibration", type=click.Path(path_type=Path, dir_okay=False))
 @click.option(
-    "--format", "kind", type=click.Choice(FORMATS), required=True, help="Format of the output."
+    "--format", "kind", type=SuggestingChoice(FORMATS), required=True, help="Format of the output."
 )
 @output_option("File to write; it must not exist.  [default: standard output]")
 @click.option(
     "--frame",
-    type=click.Choice(FRAMES),
+    type=SuggestingChoice(FRAMES),
     default="stage",
     show_default=True,
     help="Axes of the corrected rates: stage, or sensor (orthogonalised).",

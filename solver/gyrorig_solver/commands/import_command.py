@@ -68,10 +68,8 @@ def import_command(
             )
         from gyrorig_solver.importers.phone_import import import_phone  # noqa: PLC0415 - loads scipy
 
-        with terminal.show_progress(f"importing {source.name}"):
-            result = import_phone(
-                source, out, board or "PHONE", sensor or "android", unit_recording
-            )
+        terminal.print_progress(f"importing {source.name}")
+        result = import_phone(source, out, board or "PHONE", sensor or "android", unit_recording)
     else:
         if sensor is not None or unit_recording is not None:
             raise UsageError(
@@ -80,8 +78,8 @@ def import_command(
                 "remove these options, and give the sensor in the column map",
             )
         mapping = load_import_map(_column_map_path(kind, map_path))
-        with terminal.show_progress(f"importing {source.name}"):
-            result = import_measurements(source, mapping, out, board)
+        terminal.print_progress(f"importing {source.name}")
+        result = import_measurements(source, mapping, out, board)
     plain = {name: str(v) if isinstance(v, Path) else v for name, v in asdict(result).items()}
     terminal.print_result(f"{source.name}: {result.samples} samples of {result.board}")
     for note in result.notes:
@@ -111,10 +109,9 @@ def _column_map_path(kind: str, map_path: Path | None) -> Path:
         )
     names = project_names("imports")
     if kind not in names:
-        known = ", ".join((*_MAPPED_FORMATS, _PHONE_FORMAT, *names))
-        suggestion = did_you_mean(kind, (*_MAPPED_FORMATS, _PHONE_FORMAT, *names))
+        known = (*_MAPPED_FORMATS, _PHONE_FORMAT, *names)
         raise UsageError(
             f"the format {kind!r:.40} is unknown",
-            (f"{suggestion} The known formats are {known}").strip(),
+            did_you_mean(kind, known) or f"choose one of the formats {', '.join(known)}",
         )
     return project_file("imports", f"{kind}.yaml")

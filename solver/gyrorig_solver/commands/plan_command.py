@@ -16,7 +16,13 @@ from gyrorig_protocol.suggestions import did_you_mean
 from gyrorig_solver.calibration import find_profile
 from gyrorig_solver.calibration.unit_document import posterior_of
 from gyrorig_solver.commands.project_files import project_names
-from gyrorig_solver.commands.terminal import NOT_IDENTIFIABLE, Terminal, json_option, output_option
+from gyrorig_solver.commands.terminal import (
+    NOT_IDENTIFIABLE,
+    SuggestingChoice,
+    Terminal,
+    json_option,
+    output_option,
+)
 from gyrorig_solver.pipeline import read_unit_file
 from gyrorig_solver.plan import (
     DetectabilityReport,
@@ -79,7 +85,7 @@ PROGRAM_HINT = "a program with --program, such as config/programs/quick.yaml"
 )
 @click.option(
     "--criterion",
-    type=click.Choice(CRITERIA),
+    type=SuggestingChoice(CRITERIA),
     default="worst",
     show_default=True,
     help="The total standard uncertainty to minimise: of the gain's nine entries, or of its "
@@ -88,14 +94,14 @@ PROGRAM_HINT = "a program with --program, such as config/programs/quick.yaml"
 @click.option(
     "--for",
     "aim",
-    type=click.Choice(AIMS),
+    type=SuggestingChoice(AIMS),
     default="calibration",
     show_default=True,
     help="Search for the smallest uncertainties, or for the best separation of causes.",
 )
 @click.option(
     "--minimise",
-    type=click.Choice(["total", "noise"]),
+    type=SuggestingChoice(["total", "noise"]),
     default="total",
     show_default=True,
     help=(

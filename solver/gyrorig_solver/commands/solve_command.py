@@ -16,6 +16,7 @@ from gyrorig_solver.commands.board_selection import select_boards
 from gyrorig_solver.commands.terminal import (
     NOT_IDENTIFIABLE,
     PARTIAL,
+    SuggestingChoice,
     Terminal,
     board_option,
     json_option,
@@ -39,7 +40,7 @@ from gyrorig_solver.uncertainty import UncertaintySettings, read_settings
 @board_option
 @click.option(
     "--method",
-    type=click.Choice(["likelihood", "paper"]),
+    type=SuggestingChoice(["likelihood", "paper"]),
     default="likelihood",
     show_default=True,
     help="likelihood: maximum likelihood; paper: equations 6 to 12 as printed, for comparison.",
@@ -112,8 +113,8 @@ def solve_command(
     ):
         board_text = names[0] if len(names) == 1 else f"{len(names)} boards"
         recording_names = ", ".join(recording.path.name for recording in group_recordings)
-        with terminal.show_progress(f"solving {board_text} of {recording_names}"):
-            ready = fit_together(group_recordings, names, method, causes)
+        terminal.print_progress(f"solving {board_text} of {recording_names}")
+        ready = fit_together(group_recordings, names, method, causes)
         for name in names:
             try:
                 solved.append(

@@ -6,15 +6,16 @@ configuration; `parameter_differences` to compare two of them.
 
 from collections.abc import Iterator
 from datetime import datetime
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Any
 
 from gyrorig_protocol.errors import InputError
 from gyrorig_protocol.identity import BoardId
+from gyrorig_protocol.suggestions import did_you_mean
 from gyrorig_solver.calibration import CalibrationDocument, StoredVersion, parse_calibration
 from gyrorig_solver.fleet.store import open_existing_store, parameter_columns
 from gyrorig_solver.fleet.store.index_rows import parameter_values
-from gyrorig_solver.fleet.store.store_queries import versions_by_measurement_time
+from gyrorig_solver.fleet.store.store_queries import list_documents, versions_by_measurement_time
 from gyrorig_solver.storage import Storage
 
 
@@ -38,9 +39,11 @@ def find_version(folder: Storage, board: BoardId, number: int) -> tuple[Path, Ca
 
 
 def _unknown_board_error(folder: Storage, board: BoardId) -> InputError:
+    known = {PurePosixPath(entry.name).parent.name for entry in list_documents(folder)}
+    suggestion = did_you_mean(board, sorted(known))
     return InputError(
         f"the store {folder.location} does not contain board {board}",
-        f"list the boards of the store with `gyrorig store ls {folder.location}`",
+        suggestion or f"list the boards of the store with `gyrorig store ls {folder.location}`",
     )
 
 

@@ -1,28 +1,34 @@
 """Output of the commands: results, JSON, progress and errors.
 
 What to use when: `Terminal.print_result` for text, `print_json` for the object of `--json`,
-`print_progress` for a short step, `show_progress` around a step that can take seconds,
-`format_table` for columns, `colour_verdict` for a verdict. Progress goes to standard error.
+`print_progress` for the name of a step, `show_status` for a count that changes, `format_table`
+for columns, `colour_verdict` for a verdict. Progress goes to standard error. On a terminal every
+command shows its elapsed time after two seconds.
 """
 
 import json
 import math
 import os
+import shutil
 import sys
 import threading
 import time
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, TypeVar
 
 import click
 
+from gyrorig_protocol.errors import sentence
+from gyrorig_protocol.suggestions import did_you_mean
+
 NOT_IDENTIFIABLE = 4  # exit status: done, but something is not identifiable from this data
 PARTIAL = 5  # exit status: some inputs failed
 PROGRESS_AFTER_S = 2.0
+_ERASE_LINE = "\x1b[K"  # to the end of the line
 _VERDICT_COLOURS = {
     "good": "green",
     "limited": "yellow",
@@ -65,11 +71,20 @@ class Terminal:
     traceback: bool = False
     quiet: bool = False
     verbose: bool = False
+    _start_s: float = field(default_factory=time.monotonic)
+    _lock: threading.RLock = field(default_factory=threading.RLock)
+    _status: str = ""  # the text before the elapsed time
+    _is_drawn: bool = False  # the line with the elapsed time is on the screen
+    _is_paused: bool = False
 
     @property
     def shows_progress(self) -> bool:
         """Progress is for a person at a terminal, or on request."""
         return not self.quiet and (self.verbose or sys.stderr.isatty())
+
+    @property
+    def _elapsed_s(self) -> float:
+        return time.monotonic() - self._start_s
 
     def print_result(self, text: str, verdict: str = "") -> None:
         """Write text to standard output, unless `--json` was given.
@@ -81,51 +96,79 @@ class Terminal:
         if self.json:
             return
         first_line, separator, rest = printable(text).partition("\n")
+        self.erase_elapsed_time()
         click.echo(colour_verdict(first_line, verdict) + separator + rest)
 
     def print_json(self, result: Mapping[str, Any]) -> None:
         """Write the JSON object of `--json`; without that option nothing."""
         if self.json:
+            self.erase_elapsed_time()
             click.echo(json.dumps(finite_json(result), allow_nan=False))
 
     def print_progress(self, text: str) -> None:
         """Write one line of progress to standard error."""
         if self.shows_progress:
+            self.erase_elapsed_time()
             click.echo(printable(text), err=True)
 
+    def show_status(self, text: str) -> None:
+        """Show `text` before the elapsed time, on a terminal; "" for the time alone."""
+        self._status = printable(text)
+        self._draw_elapsed_time()
+
     @contextmanager
-    def show_progress(self, text: str) -> Iterator[None]:
-        """Show `text` while a step runs, with the elapsed time after two seconds."""
-        if not self.shows_progress:
-            yield
-            return
+    def show_elapsed_time(self) -> Iterator[None]:
+        """Show the elapsed time of the command after two seconds: on a terminal while it runs."""
         finished = threading.Event()
-        thread = threading.Thread(target=_show_elapsed, args=(printable(text), finished))
-        thread.start()
+        thread = threading.Thread(target=self._update_elapsed_time, args=(finished,), daemon=True)
+        if self.shows_progress and sys.stderr.isatty():
+            thread.start()
         try:
             yield
         finally:
             finished.set()
-            thread.join()
+            if thread.ident is not None:
+                thread.join()
+            if self._elapsed_s >= PROGRESS_AFTER_S:
+                self.print_progress(f"  {self._elapsed_s:.0f} s elapsed")
+
+    @contextmanager
+    def hide_elapsed_time(self) -> Iterator[None]:
+        """Leave standard error to another program."""
+        self._is_paused = True
+        self.erase_elapsed_time()
+        try:
+            yield
+        finally:
+            self._is_paused = False
+
+    def erase_elapsed_time(self) -> None:
+        """Erase the line with the elapsed time, for other text in its place."""
+        with self._lock:
+            if self._is_drawn:
+                click.echo(f"\r{_ERASE_LINE}", err=True, nl=False)
+            self._is_drawn = False
+
+    def _update_elapsed_time(self, finished: threading.Event) -> None:
+        wait_s = PROGRESS_AFTER_S - self._elapsed_s
+        while not finished.wait(max(wait_s, 0.0)):
+            wait_s = 1.0
+            self._draw_elapsed_time()
+
+    def _draw_elapsed_time(self) -> None:
+        with self._lock:
+            if self._is_paused or not (self.shows_progress and sys.stderr.isatty()):
+                return
+            elapsed = f"{self._elapsed_s:.0f} s elapsed"
+            text = f"{self._status}, {elapsed}" if self._status else f"  {elapsed}"
+            columns = shutil.get_terminal_size().columns - 1
+            click.echo(f"\r{text[:columns]}{_ERASE_LINE}", err=True, nl=False)
+            self._is_drawn = True
 
     def print_error(self, text: str) -> None:
         """Write the error of one of several inputs as one line to standard error."""
+        self.erase_elapsed_time()
         click.echo(f"gyrorig: {printable(' '.join(text.split()))}", err=True)
-
-
-def _show_elapsed(text: str, finished: threading.Event) -> None:
-    """Write a step's elapsed time once per second until it has finished."""
-    start_s = time.monotonic()
-    click.echo(text, err=True)
-    is_terminal = sys.stderr.isatty()
-    wait_s = PROGRESS_AFTER_S
-    while not finished.wait(wait_s):
-        wait_s = 1.0
-        if is_terminal:
-            click.echo(f"\r  {time.monotonic() - start_s:.0f} s", err=True, nl=False)
-    elapsed_s = time.monotonic() - start_s
-    if elapsed_s >= PROGRESS_AFTER_S:
-        click.echo(f"{chr(13) if is_terminal else ''}  {elapsed_s:.0f} s", err=True)
 
 
 def colour_verdict(text: str, verdict: str) -> str:
@@ -151,6 +194,21 @@ def format_table(rows: Sequence[Sequence[str]], right: Collection[int] = ()) -> 
         ).rstrip()
         for row in rows
     ]
+
+
+class SuggestingChoice(click.Choice):  # type: ignore[type-arg] # a generic class from click 8.2
+    """One of some words; a mistyped word gets a suggestion."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Return the word.
+
+        Raises:
+            BadParameter: it is not one of the words.
+        """
+        if value in self.choices:
+            return value
+        remedy = did_you_mean(value[:40], self.choices) or f"use {', '.join(self.choices)}"
+        self.fail(f"{value!r:.40} is not a possible value. {sentence(remedy)}", param, ctx)
 
 
 class _OutputOption(click.Option):

@@ -16,6 +16,7 @@ from gyrorig_protocol.identity import BoardId
 from gyrorig_protocol.recording.imu_columns import ImuColumns
 from gyrorig_protocol.recording.messages import ImuStatus
 from gyrorig_protocol.recording.recording import Recording, times_ns
+from gyrorig_protocol.suggestions import list_closest
 from gyrorig_solver.data.arrays import BoolArray, FloatArray, IntArray
 from gyrorig_solver.data.clocks import ClockMap, map_clock
 from gyrorig_solver.data.clocks.clock_faults import CounterArray
@@ -157,7 +158,7 @@ def load_samples(recording: Recording, board: str) -> GyroSamples:
             scale in its metadata.
     """
     if board not in recording.board_ids:
-        board_names = ", ".join(recording.board_ids) or "none"
+        board_names = list_closest(board, recording.board_ids) or "none"
         raise InputError(
             f"the recording {recording.path.name} does not contain board {board!r}",
             f"choose one of its boards: {board_names}",

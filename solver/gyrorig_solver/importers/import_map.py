@@ -146,9 +146,8 @@ def load_import_map(path: Path) -> ImportMap:
             f"the import map {path} cannot be read ({error.strerror})",
             "give an import map with --map, for example a file in config/imports",
         ) from error
-    return check_import_map(
-        convert_document(parse_yaml(text, path.name), ImportMap, path.name), path.name
-    )
+    document = parse_yaml(text, path.name, schema=SCHEMA)
+    return check_import_map(convert_document(document, ImportMap, path.name), path.name)
 
 
 def check_import_map(import_map: ImportMap, name: str) -> ImportMap:

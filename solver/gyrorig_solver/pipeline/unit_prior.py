@@ -69,7 +69,10 @@ def read_unit_file(path: Path) -> UnitPosteriorDocument:
         return parse_unit(path.read_bytes(), str(path))
     except OSError as fault:
         reason = fault.strerror or "it is not readable"
-        raise UsageError(f"the file {path} cannot be read ({reason})", "check the path") from fault
+        raise UsageError(
+            f"the posterior of a unit {path} cannot be read ({reason})",
+            "give a version in the folder rigs/<unit> of the results",
+        ) from fault
 
 
 @dataclass(frozen=True, slots=True)

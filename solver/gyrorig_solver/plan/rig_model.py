@@ -19,6 +19,7 @@ from gyrorig_solver.model import STANDARD_GRAVITY_M_S2, Site
 from gyrorig_solver.plan.sensor_model import SensorModel, build_sensor_model
 from gyrorig_solver.plan.unit_model import BITS_PER_BYTE, AxisModel, UnitModel, build_unit_model
 
+SCHEMA = "gyrorig/rig/1"
 EMULATED = "emulated"
 DEFAULT_SENSOR = "L3G4200D"
 Positive = Annotated[float, msgspec.Meta(gt=0.0)]
@@ -119,7 +120,7 @@ def load_rig(path: Path) -> RigModel:
             f"the rig file {path} cannot be read ({fault.strerror})",
             "give a rig file, such as config/rig.yaml, with --rig",
         ) from fault
-    document = convert_document(parse_yaml(text, path.name), _Rig, path.name)
+    document = convert_document(parse_yaml(text, path.name, schema=SCHEMA), _Rig, path.name)
     unit, board, emulator = document.ptu, document.boards[0], document.emulator
     emulated = unit.port == EMULATED
     named: str = unit.dialect if unit.dialect != "auto" else "e46"

@@ -132,13 +132,16 @@ def read_settings(path: Path) -> UncertaintySettings:
         return parse_settings(path.read_bytes(), str(path))
     except OSError as fault:
         reason = fault.strerror or "it is not readable"
-        raise UsageError(f"the file {path} cannot be read ({reason})", "check the path") from fault
+        raise UsageError(
+            f"the uncertainty settings {path} cannot be read ({reason})",
+            "give a file with schema " + SCHEMA,
+        ) from fault
 
 
 def _with_document(
     before: UncertaintySettings, text: str | bytes, name: str
 ) -> UncertaintySettings:
-    document = convert_document(parse_yaml(text, name), SettingsDocument, name)
+    document = convert_document(parse_yaml(text, name, schema=SCHEMA), SettingsDocument, name)
     sizes, limits = dict(before.prior_sizes), dict(before.limits)
     for profile, entries in (("unit", document.unit), ("board", document.board)):
         for cause, entry in entries.items():

@@ -12,6 +12,7 @@ from tests.unit.fleet.conftest import row
 from gyrorig_protocol.errors import UsageError
 from gyrorig_solver.cli import run
 from gyrorig_solver.commands.batch_command import _parse_shard, _ProgressBar, _summary_text
+from gyrorig_solver.commands.terminal import Terminal
 from gyrorig_solver.fleet.jobs import BatchSummary
 from gyrorig_solver.fleet.jobs.batch_run import Shard
 from gyrorig_solver.fleet.jobs.spool_scanner import scan_spool
@@ -100,15 +101,16 @@ def test_the_progress_bar_shows_count_rate_and_remaining_time(
 ) -> None:
     screen = Screen()
     monkeypatch.setattr(sys, "stderr", screen)
-    monkeypatch.setenv("COLUMNS", "100")
-    bar = _ProgressBar()
+    monkeypatch.setenv("COLUMNS", "140")
+    bar = _ProgressBar(Terminal())
     bar.show(summary)
     output = screen.getvalue()
     assert output.startswith("\r[" + "#" * 20 + "." * 20 + "]")
     assert "5000 of 10000 sessions, 5.0 per second, 17 min left, 1000 not ok" in output
     assert summary.remaining_s == pytest.approx(1000.0, rel=0.02)
+    assert "not ok, 0 s elapsed" in output
     bar.end()
-    assert screen.getvalue().endswith("\n")
+    assert screen.getvalue().endswith("\r\x1b[K")
 
 
 def test_the_remaining_time_is_unknown_before_the_first_session(
@@ -117,7 +119,7 @@ def test_the_remaining_time_is_unknown_before_the_first_session(
     screen = Screen()
     monkeypatch.setattr(sys, "stderr", screen)
     summary.sessions_by_status.clear()
-    _ProgressBar().show(summary)
+    _ProgressBar(Terminal()).show(summary)
     assert summary.remaining_s is None
     assert "0 of 10000 sessions" in screen.getvalue()
     assert "left" not in screen.getvalue()
@@ -126,7 +128,7 @@ def test_the_remaining_time_is_unknown_before_the_first_session(
 def test_there_is_no_progress_bar_without_a_terminal(
     summary: BatchSummary, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    bar = _ProgressBar()
+    bar = _ProgressBar(Terminal())
     bar.show(summary)
     bar.end()
     assert capsys.readouterr().err == ""

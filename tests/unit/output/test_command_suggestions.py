@@ -2,11 +2,13 @@
 
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
 
 from gyrorig_solver import cli
+from gyrorig_solver.commands import terminal
 from gyrorig_solver.commands.terminal import Terminal, colour_verdict, format_table
 
 Captured = pytest.CaptureFixture[str]
@@ -21,6 +23,21 @@ def test_a_mistyped_command_gets_a_suggestion(typed: str, suggested: str, capsys
     error = capsys.readouterr().err
     assert error.startswith(f"gyrorig: '{typed}' is not a command. Did you mean ")
     assert suggested in error
+
+
+@pytest.mark.parametrize(
+    ("arguments", "answer"),
+    [
+        ("export x.yaml --format ross", "Invalid value for '--format': 'ross' is not a possible "
+         "value. Did you mean ros? See `gyrorig export --help`."),
+        ("batch --spool a --store b --retry xyz", "Use rejected, failed, quarantined. "),
+        ("plan --rig r.yaml --criterion wrost", "Did you mean worst? "),
+        ("import brod x.npz -o y.mcap", "the format 'brod' is unknown. Did you mean broad?"),
+    ],
+)  # fmt: skip
+def test_a_mistyped_value_gets_a_suggestion(arguments: str, answer: str, capsys: Captured) -> None:
+    assert cli.run(arguments.split()) == 2
+    assert answer in capsys.readouterr().err
 
 
 def test_a_word_that_resembles_nothing_points_to_the_help(capsys: Captured) -> None:
@@ -49,15 +66,32 @@ def test_a_folder_is_checked_recording_by_recording(tmp_path: Path, capsys: Capt
 
 
 def test_progress_is_for_a_terminal_or_on_request(capsys: Captured) -> None:
-    with Terminal().show_progress("solving GY80-1"):
-        pass
+    Terminal().print_progress("solving GY80-1")
     assert capsys.readouterr().err == ""
-    with Terminal(verbose=True).show_progress("solving GY80-1"):
-        pass
+    Terminal(verbose=True).print_progress("solving GY80-1")
     assert capsys.readouterr().err == "solving GY80-1\n"
-    with Terminal(verbose=True, quiet=True).show_progress("solving GY80-1"):
-        pass
+    Terminal(verbose=True, quiet=True).print_progress("solving GY80-1")
     assert capsys.readouterr().err == ""
+
+
+def test_a_long_command_shows_its_elapsed_time(
+    monkeypatch: pytest.MonkeyPatch, capsys: Captured
+) -> None:
+    monkeypatch.setattr(terminal, "PROGRESS_AFTER_S", 0.0)
+    for shown in (Terminal(), Terminal(verbose=True, quiet=True)):
+        with shown.show_elapsed_time():
+            pass
+    assert capsys.readouterr().err == ""
+    with Terminal(verbose=True).show_elapsed_time():
+        pass
+    assert capsys.readouterr().err == "  0 s elapsed\n"
+    monkeypatch.setattr("sys.stderr.isatty", lambda: True)
+    with Terminal().show_elapsed_time():
+        deadline_s = time.monotonic() + 5.0
+        while not (output := capsys.readouterr().err) and time.monotonic() < deadline_s:
+            time.sleep(0.01)
+        assert output == "\r  0 s elapsed\x1b[K"
+    assert capsys.readouterr().err == "\r\x1b[K  0 s elapsed\n"
 
 
 def test_a_verdict_has_colour_on_a_terminal_only(monkeypatch: pytest.MonkeyPatch) -> None:

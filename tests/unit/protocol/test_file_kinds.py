@@ -118,6 +118,7 @@ def test_a_result_document_needs_the_key_schema() -> None:
         (b"\x89MCAP0\r\n" + bytes(100), "a recording (MCAP)"),
         (npz(), "a NumPy archive (npz)"),
         (b"<!doctype html><title>Report</title>", "a report page (HTML)"),
+        (b"time,x,y\n0,1,2\n" * 500, "a table (CSV)"),
     ],
 )
 @pytest.mark.parametrize("size", [0, 5_000_000])
@@ -125,14 +126,17 @@ def test_other_files_are_named_where_yaml_is_expected(data: bytes, kind: str, si
     with pytest.raises(InputError) as caught:
         parse_yaml(data + bytes(size), "x.yaml", InputError)
     assert str(caught.value) == (
-        f"x.yaml is {kind}. A YAML document is expected here. Give the right file."
+        f"x.yaml is {kind}. A document (YAML) is expected here. Give the right file."
     )
 
 
 def test_other_text_is_named_where_a_profile_is_expected() -> None:
     with pytest.raises(UsageError) as caught:
         parse_profile(b"\x89MCAP0\r\n", "BMI088.yaml")
-    assert str(caught.value).startswith("BMI088.yaml is a recording (MCAP). ")
+    assert str(caught.value) == (
+        "BMI088.yaml is a recording (MCAP). A sensor profile is expected here. "
+        "Give a file with schema gyrorig/sensor/1."
+    )
 
 
 @pytest.mark.parametrize(

@@ -2,7 +2,7 @@
 
 import pytest
 
-from gyrorig_protocol.suggestions import closest_words, did_you_mean
+from gyrorig_protocol.suggestions import closest_words, did_you_mean, list_closest
 
 CAUSES = ("backlash", "base_compliance", "bias_ramp", "bias_step", "thermal_bias", "Tilt_Sag")
 
@@ -39,3 +39,10 @@ def test_nothing_similar_gives_nothing() -> None:
 )
 def test_the_question_lists_all_suggestions(previous: tuple[str, ...], text: str) -> None:
     assert did_you_mean("scale", previous) == text
+
+
+def test_a_list_has_at_most_three_words_and_the_number_of_others() -> None:
+    boards = [f"C{k}" for k in range(1, 17)]
+    assert list_closest("C17", boards) == "C7, C1, C16, or one of 13 others"
+    assert list_closest("x", ["A", "B"]) == "A, B"
+    assert list_closest("x", []) == ""

@@ -51,7 +51,9 @@ def test_enqueue(tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatc
     program.write_text(PROGRAM)
     arguments = ["enqueue", "--program", str(program), "--session", "s-1", "--json"]
     assert run([*arguments, "--state", str(tmp_path)]) == 1
-    assert "the job cannot be written to" in capsys.readouterr().err
+    refusal = capsys.readouterr().err
+    assert "the job cannot be written to" in refusal
+    assert f", and no daemon is running with the state folder {tmp_path}. Give" in refusal
     (tmp_path / "queue").mkdir()
     monkeypatch.setenv("STATE_DIRECTORY", f"{tmp_path}:/else")
     assert run(arguments) == 0

@@ -81,8 +81,11 @@ def scan_spool(spool: Path | Storage) -> SpoolListing:
     """
     storage = storage_at(spool)
     if isinstance(storage, Folder) and not storage.path.is_dir():
+        is_file = storage.path.exists()
         raise UsageError(
-            f"the spool folder {storage.location} does not exist",
+            f"the spool {storage.location} is a file, not a folder"
+            if is_file
+            else f"the spool folder {storage.location} does not exist",
             "choose a folder with recordings with --spool",
         )
     recordings: list[StorageEntry] = []
