@@ -14,7 +14,7 @@ from typing import Any
 import msgspec
 from docs.commands import EXIT_CODES, PROGRAMS, described
 
-from gyrorig_daemon.emulator.causes import CAUSES
+from gyrorig_daemon.emulator.injection import CAUSES
 from gyrorig_protocol.profile import SensorProfile, parse_profile
 from gyrorig_protocol.recording.encoding.message_schemas import SCHEMAS, SEPARATOR
 from gyrorig_solver.model.catalogue import catalogue

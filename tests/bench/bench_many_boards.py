@@ -24,8 +24,8 @@ import numpy as np
 
 from gyrorig_daemon.clocks.capture_clock import CaptureClock, HostClocks
 from gyrorig_daemon.config import parse_rig
-from gyrorig_daemon.emulator.causes import parse_injection
 from gyrorig_daemon.emulator.emulated_rig import EmulatedRig
+from gyrorig_daemon.emulator.injection import parse_injection
 from gyrorig_daemon.emulator.virtual_hub import VirtualHub
 from gyrorig_daemon.session.emulator_process import emulated_rig_settings
 from gyrorig_daemon.session.session import record_session

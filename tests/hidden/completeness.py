@@ -47,7 +47,7 @@ from tests.hidden.scoring.complete import UNSEEN, Remainder
 from tests.hidden.scoring.goals import COMPLETE_LEFT
 
 from gyrorig_daemon.cli import run
-from gyrorig_daemon.emulator.causes.cause_catalogue import CAUSES
+from gyrorig_daemon.emulator.injection.cause_catalogue import CAUSES
 from gyrorig_protocol.recording.reader import read_recording
 from gyrorig_protocol.recording.recording import Recording
 from gyrorig_solver.data.samples import GyroSamples, load_samples

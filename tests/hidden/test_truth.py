@@ -28,8 +28,8 @@ from tests.hidden.truth.session import ROOT, RigDraw, record, settings_of
 from tests.hidden.truth.sizing import COUNTED, Sizer
 from tests.support.noncentrality import detectable_noncentrality
 
-from gyrorig_daemon.emulator.causes import CAUSES
 from gyrorig_daemon.emulator.emulator_settings import InjectionRequest
+from gyrorig_daemon.emulator.injection import CAUSES
 from gyrorig_daemon.emulator.rig_truth import sample_rig_truth
 from gyrorig_daemon.session.emulation_options import estimate_session_s
 from gyrorig_protocol.documents import parse_yaml

@@ -14,7 +14,7 @@ def causes_command(as_json: bool) -> None:
     Example:
       gyrorigd causes
     """
-    from gyrorig_daemon.emulator.causes import CAUSES  # noqa: PLC0415 - not for the other commands
+    from gyrorig_daemon.emulator.injection import CAUSES  # noqa: PLC0415 - not for the other commands
 
     if as_json:
         click.echo(json.dumps({"causes": [cause.to_document() for cause in CAUSES.values()]}))

@@ -11,10 +11,9 @@ from typing import Any, Protocol
 import numpy as np
 
 from gyrorig_daemon.emulator.board import EmulatedBoard, EmulatedCanBoard
-from gyrorig_daemon.emulator.causes import apply_causes
-from gyrorig_daemon.emulator.causes.backlash import Backlash
 from gyrorig_daemon.emulator.emulated_can_bus import EmulatedCanBus
 from gyrorig_daemon.emulator.emulator_settings import PtuSettings, RigSettings
+from gyrorig_daemon.emulator.injection import apply_causes
 from gyrorig_daemon.emulator.physics.device_clock import DeviceClock
 from gyrorig_daemon.emulator.physics.effects.rig_hooks import AxisHooks, RigHooks
 from gyrorig_daemon.emulator.physics.host_latency import HostLatency
@@ -201,7 +200,7 @@ def _motion_law(unit: PtuSettings) -> MotionLaw:
 
 def _axis_truth(unit: PtuSettings, sign: int, scale_error: float, hooks: AxisHooks) -> AxisTruth:
     step_rad = unit.resolution_arcsec * ARCSEC_RAD
-    backlash = (Backlash(hooks.gap_rad / step_rad),) if hooks.gap_rad > 0.0 else ()
+    made_effects = tuple(make(step_rad) for make in hooks.step_effect_makers)
     return AxisTruth(
         resolution_arcsec=unit.resolution_arcsec,
         scale_error=scale_error,
@@ -210,6 +209,6 @@ def _axis_truth(unit: PtuSettings, sign: int, scale_error: float, hooks: AxisHoo
         base_speed_added_steps_s=hooks.base_speed_added_rad_s / step_rad,
         s_curve_s=hooks.s_curve_s,
         slip=hooks.slip,
-        step_effects=(*backlash, *hooks.step_effects),
+        step_effects=(*made_effects, *hooks.step_effects),
         angle_effects=tuple(hooks.angle_effects),
     )

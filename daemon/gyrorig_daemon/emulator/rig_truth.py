@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gyrorig_daemon.emulator.causes import InjectedCause, apply_causes, sample_injected_causes
 from gyrorig_daemon.emulator.emulator_settings import BoardSettings, PtuSettings, RigSettings
+from gyrorig_daemon.emulator.injection import InjectedCause, apply_causes, sample_injected_causes
 from gyrorig_daemon.emulator.physics.device_clock import ClockTruth
 from gyrorig_daemon.emulator.physics.effects.rig_hooks import RigHooks
 from gyrorig_daemon.emulator.physics.host_latency import LatencyTruth

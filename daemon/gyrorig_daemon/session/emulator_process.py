@@ -14,7 +14,6 @@ from types import TracebackType
 from typing import Any
 
 from gyrorig_daemon.config import EMULATED, RigConfig
-from gyrorig_daemon.emulator.causes import RANDOM, parse_injection, sample_injected_causes
 from gyrorig_daemon.emulator.emulated_rig import EmulatedRig
 from gyrorig_daemon.emulator.emulator_settings import (
     BoardSettings,
@@ -22,6 +21,7 @@ from gyrorig_daemon.emulator.emulator_settings import (
     PtuSettings,
     RigSettings,
 )
+from gyrorig_daemon.emulator.injection import RANDOM, parse_injection, sample_injected_causes
 from gyrorig_daemon.emulator.truth_commitment import TruthCommitment
 from gyrorig_daemon.session.emulation_options import EmulationOptions
 from gyrorig_protocol.atomic_files import write_atomically

@@ -63,7 +63,7 @@ def _compare(
     Raises:
         InputError: the reference is neither a calibration nor a file of true values.
     """
-    content = parse_yaml(read_document(reference), str(reference), InputError)
+    content = parse_yaml(read_document(reference), str(reference), InputError, SCHEMA)
     if not isinstance(content, dict):
         raise InputError(
             f"the reference file {reference} contains neither true values nor a calibration",

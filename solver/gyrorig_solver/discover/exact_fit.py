@@ -21,9 +21,9 @@ from gyrorig_solver.discover.candidate_objective import (
     CandidateObjective,
     LocalExpansion,
 )
+from gyrorig_solver.discover.template_choice import MIN_PERIODS, folded_periods
 from gyrorig_solver.estimate import FittedTerm, NuisanceProjector
 from gyrorig_solver.model import Term, value_indices
-from gyrorig_solver.model.causes.supply_hum import MIN_PERIODS, folded_periods
 
 WHOLE_COUNT_SIGMA = 4.0  # deviations
 MAX_OUTSIDE_GAIN_NATS = 2.0  # won by leaving what is possible, two deviations: it is something else

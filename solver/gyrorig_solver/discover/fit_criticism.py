@@ -90,8 +90,7 @@ def findings_without_rates(fit: GyroFit) -> CauseFindings:
         untestable=tuple(
             UntestableCause(term.cause, None, why)
             for term in catalogue().values()
-            if term.kind in ("effect", "gauge", "stochastic")
-            and term.cause not in ("axis_swap", "sign_flip", "wrong_full_scale")
+            if term.kind in ("effect", "gauge", "stochastic") and not term.is_configuration_error
         ),
         base_terms=fit.terms,
         base_reduced_chi2=fit.reduced_chi2,

@@ -19,15 +19,12 @@ from gyrorig_solver.discover.cause_ranking import CREDIBLE_SET_LEVEL
 from gyrorig_solver.discover.exact_fit import FittedCandidate
 from gyrorig_solver.discover.named_causes import ACTING_SIGMA, name_outside_fit
 from gyrorig_solver.estimate import ConvergedFit, FittedTerm
-from gyrorig_solver.model import value_parameters
-from gyrorig_solver.model.causes.acceleration_error import AccelerationError
-from gyrorig_solver.model.causes.base_speed_jump import BaseSpeedJump
+from gyrorig_solver.model import term_of_law, value_parameters
 from gyrorig_solver.model.value_format import PAN_TILT
 from gyrorig_solver.numerics import chi2_upper_tail, normal_quantile
 from gyrorig_solver.reference import PanTiltReference
 from gyrorig_solver.reference.unit.law_fit import compare_base_speeds
 
-ACCELERATION_ERROR = AccelerationError.cause
 DETECTION_POWER = 0.8  # of what is called detectable
 # Up to four times a factory setting of 2.9 deg/s.
 BASE_SPEED_GRID_RAD_S = np.geomspace(5e-4, 0.2, 14)
@@ -49,7 +46,7 @@ def detect_ramp_error(solution: ConvergedFit, tests: int, alpha: float) -> RampR
         tests: how many share the false alarms.
         alpha: rate of false alarms of all of them.
     """
-    term = AccelerationError()
+    term = term_of_law("acceleration")
     if any(
         fitted_term.term.cause == term.cause and fitted_term.free_indices.size
         for fitted_term in solution.fitted_terms
@@ -113,7 +110,7 @@ def _compare_base_speed_jump(named: NamedCause, solution: ConvergedFit) -> Named
     Below the base speed a motor starts without a ramp. With the commanded motion profile such a
     ramp looks steeper; the position counts separate the two.
     """
-    term = BaseSpeedJump()
+    term = term_of_law("base_speed")
     if any(fitted_term.term.cause == term.cause for fitted_term in solution.fitted_terms):
         return named
     jumps, stds, lead_nats = np.zeros(2), np.full(2, np.inf), 0.0
@@ -141,7 +138,7 @@ def _compare_base_speed_jump(named: NamedCause, solution: ConvergedFit) -> Named
         degrees_of_freedom=named.degrees_of_freedom,
         p_value=named.p_value,
         posterior=posterior,
-        one_of=(ACCELERATION_ERROR,) if posterior < CREDIBLE_SET_LEVEL else (),
+        one_of=(named.cause,) if posterior < CREDIBLE_SET_LEVEL else (),
     )
 
 
@@ -175,7 +172,7 @@ def candidate_from_replies(
         alpha: rate of false alarms of all of them.
     """
     named = detect_ramp_error(solution, tests, alpha).named
-    if named is None or named.term.cause == ACCELERATION_ERROR:
+    if named is None or named.term.law_quantity == "acceleration":
         return None
     return _candidate_of(named, solution)
 

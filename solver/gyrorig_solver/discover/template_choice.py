@@ -9,14 +9,25 @@ import numpy as np
 from gyrorig_solver.data import FloatArray
 from gyrorig_solver.estimate import NuisanceProjector
 from gyrorig_solver.model import Term, is_active_in, start_values, value_indices
-from gyrorig_solver.model.causes.lost_steps import pulse_templates
-from gyrorig_solver.model.causes.supply_hum import MIN_PERIODS, folded_periods
 
+MIN_PERIODS = 3.0  # of a line in a recording: fewer look like a drift
 QUICK_TEMPLATES = 20  # rows to a cause in the pass over all
 MAX_PEAKS = 12  # of the moments or lines that a residual shows
 MIN_SEPARATION_S = 0.1  # two moments less apart are one
 PULSES_PER_TRIAL = 4  # pulses looked at for one that is independent: two a block, two blocks wide
 SPECTRUM_OVERSAMPLING = 4  # the line's power is read this much finer than a periodogram has it
+
+
+def folded_periods(frequency_hz: FloatArray, rate_hz: float, length_s: float) -> FloatArray:
+    """Return how many periods of spectral lines a recording contains after aliasing.
+
+    Args:
+        frequency_hz: true frequencies.
+        rate_hz: of the sampling.
+        length_s: of the recording.
+    """
+    folded = np.abs((frequency_hz + rate_hz / 2.0) % rate_hz - rate_hz / 2.0)
+    return np.asarray(folded * length_s, dtype=np.float64)
 
 
 def quick_templates(projection: NuisanceProjector, term: Term) -> tuple[FloatArray, int]:
@@ -57,7 +68,7 @@ def _lost_step_templates(projection: NuisanceProjector, term: Term) -> tuple[Flo
     ):
         if not scene.has_angles or not is_active_in(term, scene):
             continue
-        candidates = pulse_templates(scene)
+        candidates = term.pulse_templates(scene)
         span = candidates.first_block[:, None] + np.arange(candidates.values.shape[1])
         score = np.einsum("rmi,rmi->r", whitened_residual[span], candidates.values)
         energy = np.einsum("rmi,rmi->r", candidates.values, candidates.values)

@@ -30,9 +30,8 @@ from gyrorig_solver.findings.findings_document import (
     UntestableEntry,
 )
 from gyrorig_solver.findings.findings_wording import cause_remedy
+from gyrorig_solver.model.catalogue import catalogue
 
-# Listed first: with them every rate is wrong.
-CONFIGURATION_CAUSES = ("axis_swap", "sign_flip", "wrong_full_scale")
 UNEXPLAINED_FIGURE = "unexplained"  # key of the figure
 
 
@@ -154,20 +153,20 @@ def _cause_entries(
         for result in checks.checks
         for finding in result.findings
     ]
-    # A sensor of half the range saturates at half the rate: no second cause.
-    saturates_early = any(
-        finding.cause == "wrong_full_scale" and finding.size > 0.0 for _, finding in stream_findings
-    )
+    of_positive_size = {finding.cause for _, finding in stream_findings if finding.size > 0.0}
     by_cause: dict[tuple[str, tuple[str, ...]], tuple[StreamFinding, list[str]]] = {}
     for recording, finding in stream_findings:
-        implied = finding.cause == "saturation" and saturates_early
+        term = catalogue().get(finding.cause)
+        implied = term is not None and term.implied_by in of_positive_size
         if finding.cause not in named_causes and not implied:
             _, names = by_cause.setdefault((finding.cause, finding.where), (finding, []))
             names.append(recording)
     configuration: list[CauseEntry] = []
     stream: list[CauseEntry] = []
     for finding, names in by_cause.values():
-        entries = configuration if finding.cause in CONFIGURATION_CAUSES else stream
+        term = catalogue().get(finding.cause)
+        is_configuration = term is not None and term.is_configuration_error
+        entries = configuration if is_configuration else stream
         entries.append(_raw_cause(finding, names, figures))
     searched = [_searched_cause(cause, findings, figures) for cause in findings.causes]
     return [*configuration, *searched, *stream]

@@ -6,7 +6,7 @@ stage of the signal path; `term` for the interface of a cause, `term_kinds` for 
 """
 
 from gyrorig_solver.model.board_temperature import BoardTemperature
-from gyrorig_solver.model.catalogue import find_term
+from gyrorig_solver.model.catalogue import find_term, term_of_law
 from gyrorig_solver.model.gain_matrix import (
     FACTOR_NAMES,
     GAIN_NAMES,
@@ -91,6 +91,7 @@ __all__ = [
     "recording_index_of",
     "start_values",
     "term_label",
+    "term_of_law",
     "value_indices",
     "value_labels",
     "value_names",

@@ -2,7 +2,8 @@
 
 Every module of `model.causes` that has a `TERM` takes part: a new cause is a new file.
 
-What to use when: `catalogue` for all causes; `find_term` for one that a user has named.
+What to use when: `catalogue` for all causes; `find_term` for one that a user has named;
+`term_of_law` for the one that is a quantity of the motion law.
 """
 
 import importlib
@@ -27,6 +28,11 @@ def catalogue() -> MappingProxyType[str, Term]:
         if candidate is not None:
             terms_by_id[candidate.cause] = candidate
     return MappingProxyType(dict(sorted(terms_by_id.items())))
+
+
+def term_of_law(quantity: str) -> Term:
+    """Return the cause whose values are a `LawQuantity`, for example "acceleration"."""
+    return next(term for term in catalogue().values() if term.law_quantity == quantity)
 
 
 def find_term(cause: str) -> Term:

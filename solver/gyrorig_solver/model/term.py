@@ -11,7 +11,9 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from gyrorig_solver.data import BoolArray, FloatArray
+from gyrorig_protocol.profile import SensorProfile
+from gyrorig_solver.data import BoolArray, FloatArray, IntArray
+from gyrorig_solver.model.recording_context import Site
 from gyrorig_solver.model.signal_arrays import zero_signals
 from gyrorig_solver.model.signal_state import SignalState
 from gyrorig_solver.reference.unit.motion_law import LawQuantity
@@ -102,6 +104,16 @@ class TermParameter:
         return tuple(f"{self.name}.{part}" for part in self.components) or (self.name,)
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class PulseTemplates:
+    """The signal of a size of one at each of r times, over m blocks."""
+
+    time_s: FloatArray  # (r,)
+    axis: IntArray  # (r,), 0 pan, 1 tilt
+    first_block: IntArray  # (r,), first block
+    values: FloatArray  # (r, m, 3)
+
+
 class Term(ABC):
     """One physical cause: a parametric model of its effect on the measured rate.
 
@@ -139,7 +151,12 @@ class Term(ABC):
     depends_on_temperature: bool = False  # its temperature counts from the recordings' mean
     starts_at_typical_size: bool = False  # because the derivative is zero at size zero
     law_quantity: LawQuantity | None = None  # of the motion law; its values are pan and tilt
+    attitude_form: "Term | None" = None  # takes its place with a reference of attitudes
     reference_alternative: str = ""  # the same error in a reference of attitudes
+    is_configuration_error: bool = False  # every rate is wrong with it: it is listed first
+    implied_by: str = ""  # a cause of positive size that makes this one no second cause
+    unknown_site_remark: str = ""  # for a known cause: why it was not removed, with the remedy
+    polynomial_orders: range = range(0)  # of a polynomial whose order the data select
 
     @abstractmethod
     def effect(self, state: SignalState, values: FloatArray) -> FloatArray:
@@ -163,6 +180,27 @@ class Term(ABC):
 
     def reason_not_testable(self, state: SignalState) -> str | None:
         """Return why this recording cannot show the cause, with the remedy; None if it can."""
+        return None
+
+    def is_known_at(self, site: Site) -> bool:
+        """Return whether the size of a cause of the kind `known` follows from the site."""
+        return False
+
+    def with_order(self, order: int) -> "Term":
+        """Return this cause as a polynomial of an order in `polynomial_orders`."""
+        raise NotImplementedError(f"{self.cause} is not a polynomial")
+
+    def pulse_templates(self, state: SignalState) -> PulseTemplates:
+        """Return the signal of every time, for the template search `pulses`."""
+        raise NotImplementedError(f"{self.cause} has no pulses")
+
+    def data_sheet_limit(self, parameter: str, profile: SensorProfile) -> float | None:
+        """Return the data sheet's limit of a parameter's size, in the unit that people read.
+
+        Args:
+            parameter: the name without the cause; "" for the only one.
+            profile: of the sensor.
+        """
         return None
 
     def tilt_zero_std_rad(self, values: FloatArray) -> float:

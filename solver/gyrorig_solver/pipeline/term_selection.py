@@ -18,9 +18,8 @@ from gyrorig_solver.estimate import FittedTerm, SessionFit, fit_likelihood
 from gyrorig_solver.estimate.fitted_term import fixed_term, free_term
 from gyrorig_solver.estimate.series import build_series
 from gyrorig_solver.estimate.thermal_order import MIN_SPAN_K, choose_order
-from gyrorig_solver.model import RecordingContext, find_term, limit_to_recording
-from gyrorig_solver.model.causes.earth_rotation import earth_axis_in_base
-from gyrorig_solver.model.causes.thermal_bias import ThermalBias
+from gyrorig_solver.model import RecordingContext, Term, find_term, limit_to_recording
+from gyrorig_solver.model.catalogue import catalogue
 from gyrorig_solver.pipeline.recording_contexts import read_contexts
 from gyrorig_solver.reference import ReferenceMotion
 
@@ -65,13 +64,11 @@ def select_terms(
     settings = read_contexts(loaded)
     extensions: list[FittedTerm] = []
     remarks: list[str] = []
-    if all(earth_axis_in_base(setting.site) is not None for setting in settings):
-        extensions.append(fixed_term(find_term("earth_rotation")))
-    elif has_latitude:
-        remarks.append(
-            "the solver did not remove the Earth's rotation, because the site has no heading; "
-            "give heading_deg in the rig file"
-        )
+    for known_term in (term for term in catalogue().values() if term.kind == "known"):
+        if all(known_term.is_known_at(setting.site) for setting in settings):
+            extensions.append(fixed_term(known_term))
+        elif has_latitude:
+            remarks.append(known_term.unknown_site_remark)
     remedies: dict[str, str] = {}
     for fitted_term in named_terms:
         extensions.append(fitted_term)
@@ -137,13 +134,13 @@ def _fittable_term(
                 f"the temperature changed by only {span_k:.1f} K, and a polynomial in temperature "
                 f"needs {MIN_SPAN_K:.0f} K; warm the board and record again"
             )
-        if cause == "thermal_bias":
-            return _thermal_bias(loaded, settings)
+        if find_term(cause).polynomial_orders:
+            return _polynomial_term(find_term(cause), loaded, settings)
     return free_term(find_term(cause)), ""
 
 
-def _thermal_bias(
-    loaded: LoadedRecordings, settings: Sequence[RecordingContext]
+def _polynomial_term(
+    term: Term, loaded: LoadedRecordings, settings: Sequence[RecordingContext]
 ) -> tuple[FittedTerm | None, str]:
     """Choose the order by windows of the base fit's residual that were left out."""
     sessions = []
@@ -169,7 +166,7 @@ def _thermal_bias(
             f"over {choice.span_k:.1f} K, this cause does not improve the prediction of windows "
             "that were left out of the fit"
         )
-    extension = free_term(ThermalBias(choice.order))
+    extension = free_term(term.with_order(choice.order))
     extension.values[-1] = lag_s
     lag_text = f", lag {lag_s:+.0f} s" if lag_s else ""
     return (

@@ -8,6 +8,7 @@ import math
 
 from gyrorig_protocol.profile import SensorProfile
 from gyrorig_solver.model import format_short
+from gyrorig_solver.model.catalogue import catalogue
 
 _ALLAN_FLOOR = 0.664  # of the coefficient B: sqrt(2 ln 2 / pi), IEEE Std 952 annex C
 
@@ -24,15 +25,14 @@ def data_sheet_range(
     """
     if profile is None:
         return None
-    drift_dps_k = profile.zero_rate_per_kelvin_dps
+    cause, _, parameter = name.partition(".")
+    if cause in catalogue():
+        limit = catalogue()[cause].data_sheet_limit(parameter, profile)
+        return None if limit is None else (-limit, limit)
     middle, half_width = {
         "bias": (0.0, profile.zero_rate_limit_dps(full_scale_dps)),  # deg/s
         "scale": (1.0, profile.scale_tolerance),
         "nonorthogonality": (0.0, _scaled_or_none(1e3, profile.cross_axis)),  # mrad
-        "thermal_bias": (0.0, drift_dps_k),
-        "thermal_bias.slope": (0.0, drift_dps_k),
-        "thermal_scale": (0.0, _scaled_or_none(1e6, profile.scale_per_kelvin)),  # ppm/K
-        "g_sensitivity": (0.0, profile.g_sensitivity_dps_g),
     }.get(name, (0.0, None))
     return None if half_width is None else (middle - half_width, middle + half_width)
 

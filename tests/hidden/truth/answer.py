@@ -13,7 +13,7 @@ from tests.hidden.truth.session import BOARD, ORIGIN_NS, RecordedSession, settin
 from tests.hidden.truth.shapes import parameters
 from tests.hidden.truth.sizing import COUNTED, IN_VARIANCE, Sizer
 
-from gyrorig_daemon.emulator.causes import Quantity
+from gyrorig_daemon.emulator.injection import Quantity
 
 SCHEMA = "gyrorig/hidden-answer/2"
 

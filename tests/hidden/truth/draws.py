@@ -16,8 +16,8 @@ from tests.hidden.truth.shapes import hanger
 from tests.hidden.truth.sizing import COUNTED, Sizer, VisibleSize
 from tests.support.noncentrality import Visibility
 
-from gyrorig_daemon.emulator.causes import CAUSES
 from gyrorig_daemon.emulator.emulator_settings import InjectionRequest
+from gyrorig_daemon.emulator.injection import CAUSES
 
 TIERS = ("mixed", "nulls", "ladder", "outside", "many", "nearly", "held")  # at the end: they seed
 KINDS = ("null", "one", "two", "outside", "nearly", "unobservable")
@@ -41,7 +41,19 @@ LINES = ((9600, 1.0), (9600, 20.0), (38400, 5.0), (115200, 1.0), (115200, 5.0))
 UNSEEN = ("clock_offset", "tilt_zero", "earth_rotation")
 # Also not under a program that never pans while tilted.
 FLAT_PROGRAM, UNSEEN_FLAT = "paper", ("axis_nonorthogonality",)
-SIZED = tuple(name for name in CAUSES if name not in (*COUNTED, *UNSEEN))
+# The order in which names are drawn: the sessions of a seed depend on it. Other causes follow.
+ORDER = (
+    "clock_offset", "clock_skew", "clock_step", "lost_samples", "repeated_samples",
+    "sample_jitter", "corrupt_samples", "axis_swap", "sign_flip", "wrong_full_scale",
+    "low_pass_lag", "scale_quadratic", "scale_cubic", "scale_asymmetry", "saturation",
+    "dead_zone", "g_sensitivity", "vibration_rectification", "thermal_scale", "motor_coupling",
+    "thermal_bias", "warm_up", "bias_ramp", "bias_step", "bias_random_walk", "supply_hum",
+    "backlash", "lost_steps", "eccentricity", "worm_error", "axis_nonorthogonality",
+    "tilt_zero", "step_resolution", "acceleration_error", "s_curve", "base_speed_jump",
+    "ringing", "tilt_sag", "base_compliance", "board_slip", "earth_rotation",
+)  # fmt: skip
+_NAMES = (*ORDER, *sorted(CAUSES.keys() - set(ORDER)))
+SIZED = tuple(name for name in _NAMES if name not in (*COUNTED, *UNSEEN))
 PAIR = ("bias_ramp", "thermal_bias", "warm_up")  # alike where the room keeps its temperature
 EVENTS = ("bias_step", "board_slip", "clock_step", "lost_steps")
 TWO_TIMES = 3.0

@@ -5,8 +5,8 @@ from collections.abc import Callable
 import numpy as np
 from tests.hidden.truth.outside.shape import Shape, Site
 
-from gyrorig_daemon.emulator.causes import Quantity
 from gyrorig_daemon.emulator.emulator_settings import RigSettings
+from gyrorig_daemon.emulator.injection import Quantity
 from gyrorig_daemon.emulator.physics.effects.rig_hooks import RigHooks
 
 _STREAM = 0x4F555453

@@ -16,9 +16,9 @@ from tests.hidden.truth.session import BOARD, ORIGIN_NS, Course, More
 from tests.hidden.truth.variance import jitter_noncentrality, walk_noncentrality
 from tests.support.noncentrality import NuisanceProjector, Visibility
 
-from gyrorig_daemon.emulator.causes import CAUSES
 from gyrorig_daemon.emulator.emulated_rig import EmulatedRig
 from gyrorig_daemon.emulator.emulator_settings import InjectionRequest, RigSettings
+from gyrorig_daemon.emulator.injection import CAUSES
 from gyrorig_daemon.emulator.noise_free_rates import NoiseFreeRates, RigTwin
 from gyrorig_daemon.emulator.rig_truth import sample_rig_truth
 

@@ -20,7 +20,7 @@ from tests.hidden.truth.draws import PROGRAMS, sizer_of
 from tests.hidden.truth.session import RigDraw
 from tests.hidden.truth.sizing import COUNTED, Sizer, VisibleSize
 
-from gyrorig_daemon.emulator.causes import CAUSES, Cause
+from gyrorig_daemon.emulator.injection import CAUSES, Cause
 
 
 def verdict(cause: type[Cause], sized: VisibleSize | None) -> str:

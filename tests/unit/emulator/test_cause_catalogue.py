@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gyrorig_daemon.emulator.causes import CAUSES, parse_injection, sample_injected_causes
 from gyrorig_daemon.emulator.emulated_rig import EmulatedRig
 from gyrorig_daemon.emulator.emulator_settings import BoardSettings, PtuSettings, RigSettings
+from gyrorig_daemon.emulator.injection import CAUSES, parse_injection, sample_injected_causes
 from gyrorig_daemon.emulator.physics.imu import BLOCK_S
 from gyrorig_daemon.emulator.rig_truth import sample_rig_truth
 from gyrorig_daemon.emulator.truth_commitment import TruthCommitment, truth_digest

@@ -16,7 +16,6 @@ from tests.support.noncentrality import (
 )
 
 from gyrorig_daemon.cli import run
-from gyrorig_daemon.emulator.causes import parse_injection
 from gyrorig_daemon.emulator.emulated_rig import EmulatedRig
 from gyrorig_daemon.emulator.emulator_settings import (
     BoardSettings,
@@ -24,6 +23,7 @@ from gyrorig_daemon.emulator.emulator_settings import (
     PtuSettings,
     RigSettings,
 )
+from gyrorig_daemon.emulator.injection import parse_injection
 from gyrorig_daemon.emulator.noise_free_rates import (
     NoiseFreeRates,
     compare_noise_free,

@@ -1,22 +1,4 @@
-"""The causes that an emulated rig can inject: those of the results contract's catalogue.
+"""The causes that an emulated rig can have, one class per file, and their base class in `cause`.
 
-What to use when: `parse_injection` for a request as text, `sample_injected_causes` for the causes
-with their parameters, `apply_causes` for the hooks of a rig; `CAUSES` for names, units and sizes.
-A cause is one class in a separate file, see `cause.Cause`.
+The package `injection` finds every class here: a new cause is a new file.
 """
-
-from gyrorig_daemon.emulator.causes.cause import Cause, InjectedCause, Quantity
-from gyrorig_daemon.emulator.causes.cause_catalogue import CAUSES
-from gyrorig_daemon.emulator.causes.cause_sampling import apply_causes, sample_injected_causes
-from gyrorig_daemon.emulator.causes.injection_request import RANDOM, parse_injection
-
-__all__ = [
-    "CAUSES",
-    "RANDOM",
-    "Cause",
-    "InjectedCause",
-    "Quantity",
-    "apply_causes",
-    "parse_injection",
-    "sample_injected_causes",
-]

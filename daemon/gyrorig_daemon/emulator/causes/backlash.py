@@ -38,9 +38,11 @@ class Backlash(UnitCause):
 
     @classmethod
     def apply(cls, injected: InjectedCause, hooks: RigHooks, rng: np.random.Generator) -> None:
-        """See `Cause`; the rig knows the angle per step, so that it makes the instance."""
-        for axis in injected.axis_hooks(hooks):
-            axis.gap_rad += injected.number("gap")
+        """See `Cause`; the rig knows the angle of a step."""
+        gap_rad = injected.number("gap")
+        if gap_rad > 0.0:
+            for axis in injected.axis_hooks(hooks):
+                axis.step_effect_makers.append(lambda step_rad: cls(gap_rad / step_rad))
 
     def passed_steps(
         self, motor: Motor, start_s: float, offsets_s: FloatArray, steps: FloatArray

@@ -34,12 +34,8 @@ from gyrorig_solver.model import (
     start_values,
 )
 from gyrorig_solver.model.catalogue import catalogue
-from gyrorig_solver.model.causes.g_sensitivity import GSensitivity
-from gyrorig_solver.model.causes.supply_hum import SupplyHum
 from gyrorig_solver.model.signal_arrays import split_axes
 from gyrorig_solver.model.term import Scope
-
-MIN_FORCE_SPAN_M_S2 = 3.0  # of every component: a third of gravity
 
 
 class ReferenceSmoothing(LinearTerm):
@@ -137,42 +133,10 @@ class MovingBias(LinearTerm):
         return f"the bias in motion differs from the bias at rest: {shifts}"
 
 
-class ForceSensitivity(GSensitivity):
-    """K against all three components of what the board's accelerometer reads."""
-
-    excitation = "an accelerometer in the recording, and poses in all orientations"
-
-    def basis_signals(self, state: SignalState, values: FloatArray) -> FloatArray:
-        """Return each component of the force on each axis, (9, blocks, 3)."""
-        del values
-        signals = np.zeros((9, state.block_count, 3))
-        force = state.measure_sensor_rate(state.specific_force_m_s2)
-        for column in range(3):
-            signals[column::3] = split_axes(np.repeat(force[:, column : column + 1], 3, axis=1))
-        return signals
-
-    def reason_not_testable(self, state: SignalState) -> str | None:
-        """Explain that there is no accelerometer, or that gravity did not change."""
-        if not isinstance(state, AttitudeState) or state.measured_force_m_s2 is None:
-            return "the recording has no accelerometer data; record the accelerometer too"
-        if float(np.ptp(state.measured_force_m_s2, axis=0).min()) < MIN_FORCE_SPAN_M_S2:
-            return "the board was never turned over; hold the board in poses of all orientations"
-        return None
-
-
-class OutOfBandHum(SupplyHum):
-    """Lines of the mains are faster than what a reference of attitudes can judge."""
-
-    def reason_not_testable(self, state: SignalState) -> str | None:
-        """Say so."""
-        del state
-        return "the fit compares only slow rates with the reference; record the board at rest"
-
-
 def attitude_terms() -> dict[str, Term]:
     """Return all causes by id: the catalogue, some in another form, and those of the reference."""
-    special = (ReferenceSmoothing(), ForceSensitivity(), OutOfBandHum(), MovingBias())
-    return {**catalogue(), **{term.cause: term for term in special}}
+    forms = {cause: term.attitude_form or term for cause, term in catalogue().items()}
+    return forms | {term.cause: term for term in (ReferenceSmoothing(), MovingBias())}
 
 
 def attitude_families() -> list[BasisFamily]:

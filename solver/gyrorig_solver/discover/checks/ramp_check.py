@@ -6,8 +6,9 @@ import numpy as np
 
 from gyrorig_solver.discover.checks.model_check import JudgedModel, Verdict
 from gyrorig_solver.discover.motion_space import MotionFitSpace
-from gyrorig_solver.discover.ramp_acceleration import ACCELERATION_ERROR, detect_ramp_error
+from gyrorig_solver.discover.ramp_acceleration import detect_ramp_error
 from gyrorig_solver.discover.testable_terms import FALSE_ALARM_RATE
+from gyrorig_solver.model import term_of_law
 
 
 class RampCheck:
@@ -23,10 +24,11 @@ class RampCheck:
         """
         result = detect_ramp_error(model.space.solution, model.tests, FALSE_ALARM_RATE)
         named = result.named
+        acceleration = term_of_law("acceleration").cause  # the fit compares every acceleration
         if named is None:
-            covered = frozenset({ACCELERATION_ERROR})
+            covered = frozenset({acceleration})
             return Verdict(detection_limits=result.detection_limits, covered_causes=covered)
-        if named.cause != ACCELERATION_ERROR:
+        if named.cause != acceleration:
             values = tuple(replace(value, std=np.inf) for value in named.values)
             named = replace(named, values=values)
-        return Verdict(named=(named,), covered_causes=frozenset({ACCELERATION_ERROR, named.cause}))
+        return Verdict(named=(named,), covered_causes=frozenset({acceleration, named.cause}))

@@ -36,6 +36,7 @@ class AxisSwap(LinearTerm):
     confused_with = ("sign_flip",)
     remedy = "correct the order of the axes in the driver or in the board's columns"
     covariates = None
+    is_configuration_error = True
     picture = None
     excitation = "any motion, and a comparison of the gain's axes with the mount of the board"
     effect_if_ignored = (

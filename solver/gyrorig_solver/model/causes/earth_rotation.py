@@ -56,6 +56,10 @@ class EarthRotation(LinearTerm):
     covariates = None
     picture = BinnedDependence("mean", "pan")
     excitation = "rests of some minutes at pan angles over the whole range, for at least 20 minutes"
+    unknown_site_remark = (
+        "the solver did not remove the Earth's rotation, because the site has no heading; "
+        "give heading_deg in the rig file"
+    )
     effect_if_ignored = "the bias is wrong by up to 0.004 deg/s, differently at every heading"
 
     def basis_signals(self, state: SignalState, values: FloatArray) -> FloatArray:
@@ -74,6 +78,10 @@ class EarthRotation(LinearTerm):
         if earth_axis_in_base(state.context.site) is None:
             return "the latitude or the heading is not recorded; give latitude_deg and heading_deg"
         return None
+
+    def is_known_at(self, site: Site) -> bool:
+        """Return whether latitude and heading are known."""
+        return earth_axis_in_base(site) is not None
 
     def describe(self, values: FloatArray) -> str:
         """Describe the correction."""

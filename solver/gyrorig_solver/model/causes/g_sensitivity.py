@@ -9,6 +9,7 @@ bias.
 
 import numpy as np
 
+from gyrorig_protocol.profile import SensorProfile
 from gyrorig_solver.data import FloatArray
 from gyrorig_solver.model.recording_context import STANDARD_GRAVITY_M_S2
 from gyrorig_solver.model.signal_arrays import on_all_axes, split_axes, zero_signals
@@ -23,6 +24,7 @@ from gyrorig_solver.model.term_kinds import LinearTerm
 from gyrorig_solver.model.value_format import DEG, XYZ, format_list
 
 _DPS_PER_G = DEG / STANDARD_GRAVITY_M_S2
+MIN_FORCE_SPAN_M_S2 = 3.0  # of every component: a third of gravity
 _MIN_TILT_RANGE_RAD = 0.05  # a smaller range changes the force by less than 5 %
 
 
@@ -69,10 +71,38 @@ class GSensitivity(LinearTerm):
             return "the board rested at one tilt only; rest at four tilts that are far apart"
         return None
 
+    def data_sheet_limit(self, parameter: str, profile: SensorProfile) -> float | None:
+        """Return the sensitivity to acceleration, deg/s per g."""
+        return None if parameter else profile.g_sensitivity_dps_g
+
     def describe(self, values: FloatArray) -> str:
         """Describe the largest sensitivity of each axis."""
         worst = np.abs(values.reshape(3, 3)).max(axis=1) / _DPS_PER_G
         return f"the bias depends on gravity: up to {format_list(worst, XYZ, 'deg/s per g')}"
 
 
+class ForceSensitivity(GSensitivity):
+    """K against all three components of what the board's accelerometer reads."""
+
+    excitation = "an accelerometer in the recording, and poses in all orientations"
+
+    def basis_signals(self, state: SignalState, values: FloatArray) -> FloatArray:
+        """Return each component of the force on each axis, (9, blocks, 3)."""
+        del values
+        signals = np.zeros((9, state.block_count, 3))
+        force = state.measure_sensor_rate(state.specific_force_m_s2)
+        for column in range(3):
+            signals[column::3] = split_axes(np.repeat(force[:, column : column + 1], 3, axis=1))
+        return signals
+
+    def reason_not_testable(self, state: SignalState) -> str | None:
+        """Explain that there is no accelerometer, or that gravity did not change."""
+        if not np.any(state.specific_force_m_s2):
+            return "the recording has no accelerometer data; record the accelerometer too"
+        if float(np.ptp(state.specific_force_m_s2, axis=0).min()) < MIN_FORCE_SPAN_M_S2:
+            return "the board was never turned over; hold the board in poses of all orientations"
+        return None
+
+
+GSensitivity.attitude_form = ForceSensitivity()
 TERM = GSensitivity()

@@ -9,29 +9,17 @@ holds a limited number of times. `pulse_templates` has the signal of every time,
 with a residual; the search starts at the best of these times.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 
-from gyrorig_solver.data import FloatArray, IntArray
+from gyrorig_solver.data import FloatArray
 from gyrorig_solver.model.signal_arrays import zero_signals
 from gyrorig_solver.model.signal_state import SignalState
-from gyrorig_solver.model.term import Scope, Stage, TermParameter
+from gyrorig_solver.model.term import PulseTemplates, Scope, Stage, TermParameter
 from gyrorig_solver.model.term_kinds import LinearAngleTerm, scan_grid
 from gyrorig_solver.model.value_format import DEG, PAN_TILT, format_list
 
 SCAN_SPACING_S = 0.02  # of the times in the bank; about the width of a pulse
 MAX_SCAN_TIMES = 2000
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class PulseTemplates:
-    """The signal of a loss of 1 rad at each of r times, over m blocks."""
-
-    time_s: FloatArray  # (r,)
-    axis: IntArray  # (r,), 0 pan, 1 tilt
-    first_block: IntArray  # (r,), first block
-    values: FloatArray  # (r, m, 3)
 
 
 def pulse_templates(state: SignalState, times_per_block: int = 2) -> PulseTemplates:
@@ -175,6 +163,10 @@ class LostSteps(LinearAngleTerm):
         if values[:2].any():
             jacobian[2] = self._finite_difference(state, values, 2)
         return jacobian
+
+    def pulse_templates(self, state: SignalState) -> PulseTemplates:
+        """Return the signal of a loss of 1 rad at each time of a move."""
+        return pulse_templates(state)
 
     def describe(self, values: FloatArray) -> str:
         """Describe the lost angles and the time."""

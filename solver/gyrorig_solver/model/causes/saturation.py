@@ -32,6 +32,7 @@ class Saturation(NonlinearTerm):
         TermParameter("shortfall", "1", typical_size=0.2, lower=0.0, upper=0.98, prior_std=1.0),
     )
     confused_with = ("scale_cubic", "low_pass_lag")
+    implied_by = "wrong_full_scale"  # a sensor of half the range saturates at half the rate
     remedy = "use a larger full scale, or turn more slowly"
     covariates = RATE_COVARIATES
     picture = BinnedDependence("mean", "own_rate")

@@ -28,6 +28,7 @@ class SignFlip(LinearTerm):
     confused_with = ("axis_swap",)
     remedy = "correct the sign of the axis in the driver or in the board's columns"
     covariates = None
+    is_configuration_error = True
     picture = None
     excitation = "any motion, and a comparison of the gain's axes with the mount of the board"
     effect_if_ignored = (

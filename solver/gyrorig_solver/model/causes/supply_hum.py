@@ -17,19 +17,6 @@ from gyrorig_solver.model.value_format import DEG, XYZ, format_list
 MAINS_HZ = (50.0, 60.0, 100.0, 120.0)
 MAINS_SPREAD_HZ = 0.1  # at 50 and 60 Hz; grids stay within +-0.2, mostly within +-0.05
 MAX_LINES = 400
-MIN_PERIODS = 3.0  # in a recording: fewer look like a drift
-
-
-def folded_periods(frequency_hz: FloatArray, rate_hz: float, length_s: float) -> FloatArray:
-    """Return how many periods of spectral lines a recording contains after aliasing.
-
-    Args:
-        frequency_hz: true frequencies.
-        rate_hz: of the sampling.
-        length_s: of the recording.
-    """
-    folded = np.abs((frequency_hz + rate_hz / 2.0) % rate_hz - rate_hz / 2.0)
-    return np.asarray(folded * length_s, dtype=np.float64)
 
 
 class SupplyHum(LinearTerm):
@@ -113,4 +100,14 @@ class SupplyHum(LinearTerm):
         )
 
 
+class OutOfBandHum(SupplyHum):
+    """Lines of the mains are faster than what a reference of attitudes can judge."""
+
+    def reason_not_testable(self, state: SignalState) -> str | None:
+        """Say so."""
+        del state
+        return "the fit compares only slow rates with the reference; record the board at rest"
+
+
+SupplyHum.attitude_form = OutOfBandHum()
 TERM = SupplyHum()

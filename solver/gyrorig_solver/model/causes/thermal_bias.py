@@ -10,6 +10,7 @@ lag in the model, a lagged bias would be named a warm-up.
 
 import numpy as np
 
+from gyrorig_protocol.profile import SensorProfile
 from gyrorig_solver.data import FloatArray
 from gyrorig_solver.model.signal_arrays import on_all_axes, split_axes
 from gyrorig_solver.model.signal_state import SignalState
@@ -45,6 +46,7 @@ class ThermalBias(LinearTerm):
     covariates = ("bias_time",)
     picture = BinnedDependence("mean", "temperature")
     depends_on_temperature = True
+    polynomial_orders = range(1, len(ORDER_NAMES) + 1)
     excitation = "heating, cooling and heating again, with rests between moves"
     effect_if_ignored = "the stated bias is valid at the temperature of the recording only"
 
@@ -89,6 +91,14 @@ class ThermalBias(LinearTerm):
     def reason_not_testable(self, state: SignalState) -> str | None:
         """Return why there is no temperature signal, or None."""
         return reason_without_temperature(state)
+
+    def with_order(self, order: int) -> "ThermalBias":
+        """Return the cause with a polynomial of this order."""
+        return ThermalBias(order)
+
+    def data_sheet_limit(self, parameter: str, profile: SensorProfile) -> float | None:
+        """Return the drift of the zero-rate output, deg/s/K."""
+        return profile.zero_rate_per_kelvin_dps if parameter in ("", "slope") else None
 
     def template_bank(self, state: SignalState) -> FloatArray:
         """Scan the lag."""

@@ -4,6 +4,7 @@ y_i += k_i (T - T0) (G omega)_i with T0 the mean of the recordings. Data sheets:
 (L3G4200D, MPU-6050), 0.016 %/K; 0.005 to 0.03 %/K for others.
 """
 
+from gyrorig_protocol.profile import SensorProfile
 from gyrorig_solver.data import FloatArray
 from gyrorig_solver.model.causes.thermal_bias import (
     die_temperature_rise,
@@ -56,6 +57,11 @@ class ThermalScale(LinearTerm):
     def reason_not_testable(self, state: SignalState) -> str | None:
         """Return why there is no temperature signal, or None."""
         return reason_without_temperature(state)
+
+    def data_sheet_limit(self, parameter: str, profile: SensorProfile) -> float | None:
+        """Return the drift of the sensitivity, ppm/K."""
+        drift = profile.scale_per_kelvin
+        return None if parameter or drift is None else drift * 1e6
 
     def describe(self, values: FloatArray) -> str:
         """Describe the slopes."""

@@ -27,6 +27,7 @@ class WrongFullScale(NonlinearTerm):
     confused_with = ("clock_skew",)
     remedy = "read the range register of the sensor and set the board's full scale to that value"
     covariates = None
+    is_configuration_error = True
     picture = None
     excitation = "any motion, and a comparison of the scale factor with the data sheet's tolerance"
     effect_if_ignored = (

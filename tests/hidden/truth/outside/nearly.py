@@ -10,11 +10,11 @@ from tests.hidden.truth.outside.motion import SoftPlay
 from tests.hidden.truth.outside.sensing import SlowThermal, SmoothAsymmetry, SoftDeadZone
 from tests.hidden.truth.outside.shape import Shape, Site
 
-from gyrorig_daemon.emulator.causes import Quantity
 from gyrorig_daemon.emulator.causes.backlash import Backlash
 from gyrorig_daemon.emulator.causes.ringing import Ringing
 from gyrorig_daemon.emulator.causes.warm_up import WarmUp
 from gyrorig_daemon.emulator.emulator_settings import PtuSettings
+from gyrorig_daemon.emulator.injection import Quantity
 from gyrorig_daemon.emulator.physics.effects.harmonic import Harmonic
 from gyrorig_daemon.emulator.physics.stepper_axis import ARCSEC_RAD
 

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gyrorig_daemon.emulator.causes import Quantity
 from gyrorig_daemon.emulator.emulator_settings import RigSettings
+from gyrorig_daemon.emulator.injection import Quantity
 from gyrorig_daemon.emulator.physics.effects.rig_hooks import RigHooks
 
 

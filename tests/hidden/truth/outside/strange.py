@@ -17,7 +17,7 @@ from tests.hidden.truth.outside.sensing import (
 )
 from tests.hidden.truth.outside.shape import Shape, Site
 
-from gyrorig_daemon.emulator.causes import Quantity
+from gyrorig_daemon.emulator.injection import Quantity
 
 _DEG = np.pi / 180.0
 

@@ -3,6 +3,7 @@
 Causes add their effects, and the parts of the rig use them.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -31,8 +32,9 @@ class AxisHooks:
     base_speed_added_rad_s: float = 0.0
     s_curve_s: float = 0.0
     slip: StepLoss | None = None
-    gap_rad: float = 0.0  # backlash
-    step_effects: list[StepEffect] = field(default_factory=list)  # other than the backlash
+    # Makers take the angle of a step in rad. Their effects act before the others.
+    step_effect_makers: list[Callable[[float], StepEffect]] = field(default_factory=list)
+    step_effects: list[StepEffect] = field(default_factory=list)
     angle_effects: list[AngleEffect] = field(default_factory=list)
 
 

@@ -11,9 +11,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from gyrorig_daemon.emulator.causes.cause import Cause, InjectedCause, ParameterSampling, Quantity
-from gyrorig_daemon.emulator.causes.cause_catalogue import CAUSES
-from gyrorig_daemon.emulator.causes.injection_request import RANDOM
 from gyrorig_daemon.emulator.emulator_settings import BoardSettings, InjectionRequest, RigSettings
+from gyrorig_daemon.emulator.injection.cause_catalogue import CAUSES
+from gyrorig_daemon.emulator.injection.injection_request import RANDOM
 from gyrorig_daemon.emulator.physics.effects.rig_hooks import RigHooks
 from gyrorig_protocol.errors import UsageError, sentence
 from gyrorig_protocol.suggestions import did_you_mean

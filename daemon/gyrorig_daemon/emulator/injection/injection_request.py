@@ -3,8 +3,8 @@
 import math
 
 from gyrorig_daemon.emulator.causes.cause import Cause
-from gyrorig_daemon.emulator.causes.cause_catalogue import CAUSES
 from gyrorig_daemon.emulator.emulator_settings import InjectionRequest
+from gyrorig_daemon.emulator.injection.cause_catalogue import CAUSES
 from gyrorig_protocol.errors import UsageError, sentence
 from gyrorig_protocol.suggestions import did_you_mean
 
