@@ -133,7 +133,7 @@ def parse_result_document(text: str | bytes, name: str, kind: type[T], schema: s
         schema: the required value of the key `schema`.
 
     Raises:
-        InputError: it is not YAML, has another schema, or does not keep the contract.
+        InputError: it is not YAML, has another schema, or does not follow the schema.
     """
     value = parse_yaml(text, name, InputError, schema)
     found_schema = value.get("schema") if isinstance(value, dict) else None

@@ -135,7 +135,7 @@ _keep_example_lines(cli)
 def run(arguments: Sequence[str]) -> int:
     """Run one command line and return its exit status; never raises.
 
-    The result contract defines the status: 0 done, 1 failed, 2 wrong usage, 3 input refused,
+    docs/troubleshooting.md lists the statuses: 0 done, 1 failed, 2 wrong usage, 3 input refused,
     4 done but something is not identifiable, 5 done in part, 75 busy; 130 is Ctrl-C.
     """
     terminal = Terminal()

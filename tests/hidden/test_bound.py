@@ -22,7 +22,7 @@ def test_the_nearest_rival_of_an_asymmetry_is_a_square(tmp_path: Path) -> None:
     assert answer.names == ["scale_asymmetry"]
     assert bound is not None
     assert bound.rival == "scale_quadratic"
-    assert bound.left < 0.3  # they are alike to 84 % and more: reference, discovery.md section 2
+    assert bound.left < 0.3  # the two effects are alike to 84 % and more
     # what is near is as visible as the whole less what the rival takes
     assert bound.noncentrality == pytest.approx(bound.left * 9.0 * 24.80, rel=0.05)
     assert 0.5 < bound.chance < 1.0

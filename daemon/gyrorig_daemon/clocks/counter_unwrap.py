@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 LATE_STEPS = 4  # frames may arrive out of order, but not by more than this
 FUTURE_S = 0.05  # a timestamp cannot be later than its arrival, except for skew and stalls
-SKEW_LIMIT = 1e-3  # ceramic resonators: -640 ppm (Paul Stoffregen's Time library, issue 69)
+SKEW_LIMIT = 1e-3  # ceramic resonators: -640 ppm (PaulStoffregen/Time, issue 69)
 STALL_S = 10.0  # a longer lag is rejected if the sequence does not fit
 SEQUENCE_SLACK = 0.2  # relative difference between the steps of sequence and time
 

@@ -7,8 +7,8 @@ without reading its messages into memory.
 
 Chunks are copied in compressed form, so that no message can change.
 
-Reason for the check: `mcap recover` can exit with status 0 and leave an unreadable file (issue 1474
-of foxglove/mcap).
+Reason for the check: `mcap recover` can exit with status 0 and leave an unreadable file
+(foxglove/mcap, issue 1474).
 """
 
 import struct

@@ -274,7 +274,7 @@ _KEY_ORDER = (
 
 
 def calibration_as_mapping(calibration: CalibrationDocument) -> dict[str, Any]:
-    """Return the document as mappings, lists and scalars, in the order of the contract."""
+    """Return the document as mappings, lists and scalars, in the order of the schema."""
     plain: dict[str, Any] = msgspec.to_builtins(calibration)
     return {key: plain[key] for key in _KEY_ORDER if key in plain}
 

@@ -1,6 +1,6 @@
 """Units and number formats of parameters: one spelling and one unit each, wherever people read.
 
-What to use when: `PARAMETER_GROUPS` for the base parameters in the order of the contract;
+What to use when: `PARAMETER_GROUPS` for the base parameters in the order of the document;
 `parameter_label` for the name of one value (`scale.x`); `display_unit` for any SI unit;
 `format_quantity` for a value with its standard uncertainty; `format_short` for a number alone;
 `plural` for a counted noun. Files keep SI units.

@@ -2,9 +2,8 @@
 
 One command at a time, PP and TP in turn while nothing else is to be said, or BT, which has
 the controller's counter in its answer; the maker wants 10 ms between two commands of an
-E-series unit, a byte is 10 bits, a question 3 bytes and an answer 9, or 44 (unit's notes,
-sections 5 and 6). The controller thinks for some milliseconds; when in
-that time it looks at its count, or sets an axis off, nobody is told.
+E-series unit, a byte is 10 bits, a question 3 bytes and an answer 9, or 44. The controller thinks
+for some milliseconds; when in that time it looks at its count, or sets an axis off, nobody is told.
 """
 
 from dataclasses import dataclass, field
@@ -23,8 +22,8 @@ LEAST_THOUGHT_S = (0.002, 0.005)  # drawn for each run
 EXTRA_THOUGHT_S = 3e-4  # mean of what comes on top, exponential
 START_S = (0.001, 0.005)  # from an order to the motion, drawn for each run, and
 START_SCATTER_S = 0.004  # for each order on top, uniform
-LOG_SPEED_STD = 3e-4  # a timer cannot make every speed: unit's notes, section 7, up to 0.1 %
-DETENT_STEPS = 0.1  # 5 % of a full step, unit's notes, section 7
+LOG_SPEED_STD = 3e-4  # a timer cannot make every speed: up to 0.1 % off
+DETENT_STEPS = 0.1  # 5 % of a full step
 REST_S = 1.5  # of polls at rest before and after the program
 
 

@@ -1,7 +1,7 @@
 """Sixteen boards as one cheap program: eight on pseudo-terminals, eight on two CAN buses.
 
 Four gyroscope boards of 800 Hz load a CAN bus of 1 Mbit/s to 40 %: eight on one would be
-80 %, above what such a bus carries in time (reference: boards.md section 3).
+80 %, and a frame then waits for several others before it is sent.
 """
 
 import os

@@ -1,8 +1,8 @@
 """GTSAM on the same rate model: one custom factor for each second, analytic Jacobians.
 
 What to use when: `installed` first; then `solve`. GTSAM is no dependency of this project: where
-it is not installed the bench says so and goes on. Its own IMU factors carry no gain (peers.md,
-section 1), so the model is ours to write; a factor a sample would only be slower.
+it is not installed the bench says so and goes on. Its own IMU factors carry no gain,
+so the model is ours to write; a factor a sample would only be slower.
 """
 
 import contextlib

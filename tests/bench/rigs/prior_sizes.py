@@ -88,7 +88,7 @@ PRIOR_SIZES = (
         details=(_EVENT,),
     ),
     PriorSize("lost_samples", 3e-3, "1", "judgement: receive buffers overrun", is_half=True),
-    PriorSize("repeated_samples", 0.02, "1", "PX4 issue 14860: 795 of 780 Hz", is_half=True),
+    PriorSize("repeated_samples", 0.02, "1", "PX4/PX4-Autopilot issue 14860: 795 Hz", is_half=True),
     PriorSize("sample_jitter", 5e-4, "s", "judgement: a polling loop of 1 ms", is_half=True),
     PriorSize("corrupt_samples", 5e-4, "1", "judgement: bus without a checksum", is_half=True),
     # Sensor

@@ -3,9 +3,10 @@
 A cause with k sizes (one for each axis of the sensor, a sine and a cosine of each wave) is
 found by a chi-square test of k degrees of freedom, which needs the more the more there are:
 the minimal detectable non-centrality is where that test, at one false alarm in a hundred over
-a family of 36 tests, has the power 80 % (Baarda's minimal detectable bias; reference:
-discovery.md sections 2 and 7). What is a shape and no size (an instant, a frequency, a time
-constant, a damping) is not counted: 1x is that of a test that knows it.
+a family of 36 tests, has the power 80 % (Baarda 1968, A
+testing procedure for use in geodetic networks: minimal detectable bias). What is a shape
+and no size (an instant, a frequency, a time constant, a damping) is not counted: 1x is that of
+a test that knows it.
 
 What to use when: `detectable_of` for a cause, or a shape outside the catalogue, which counts as
 one size however many it has; `SIZES` for what is counted.

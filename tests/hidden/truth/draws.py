@@ -34,7 +34,7 @@ NULL_PROGRAMS = {
 }  # fmt: skip
 MANY_PROGRAMS = {"survey-130": 0.6, "full": 0.4}
 LADDER_PROGRAMS = ("survey-40", "survey-130")
-# Lines that a unit may be set to, and how long its controller thinks (pan-tilt survey, 3).
+# Lines that a unit may be set to, and how long its controller thinks.
 LINES = ((9600, 1.0), (9600, 20.0), (38400, 5.0), (115200, 1.0), (115200, 5.0))
 
 # What a calibration absorbs whole, or a session is too short for: never to be seen.

@@ -105,7 +105,7 @@ def test_one_group_is_not_tested() -> None:
 
 
 def test_a_common_offset_is_distinguished_from_spread() -> None:
-    # 16 for 900 pi / 180 = 15.71: the constant of peers.md section 5, item 7
+    # a program that has the constant 16 in place of 900 pi / 180 = 15.71
     y, s = fleet(100, 2e-3, mean=16.0 / (900.0 * np.pi / 180.0))
     assert common_offset(fit_population("scale_x", y, s), 1.0).is_common
     y, s = fleet(100, 20e-3)

@@ -139,7 +139,7 @@ def test_share_absorbed_by_the_base_model(directions: Any) -> None:
 
 
 def test_filter_error_is_mostly_a_lag(scene: SignalState) -> None:
-    """Rig discovery survey, section 2: 0.998 of the energy, with the lag counted."""
+    """A lag has 0.998 of the energy of a wrong cut-off frequency."""
     step = 0.1
     shape = find_term("low_pass_lag").effect(scene, np.array([step])) / step
     lag = scene.sample_output(scene.filtered_slope_rad_s2) * np.sqrt(2.0) / (2.0 * np.pi * 25.0)

@@ -133,7 +133,7 @@ def _plain(quantity: Quantity) -> dict[str, Any]:
 class Cause(ABC):
     """A physical cause that a rig can inject. The class attributes are its catalogue entry."""
 
-    name: ClassVar[str]  # the id in the contract's catalogue
+    name: ClassVar[str]  # the id in the catalogue of causes
     size_meaning: ClassVar[str]
     part: ClassVar[Part]
     unit: ClassVar[str]  # of the size

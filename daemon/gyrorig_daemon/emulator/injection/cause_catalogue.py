@@ -1,4 +1,4 @@
-"""Every cause that an emulated rig can inject, by its id in the contract's catalogue.
+"""Every cause that an emulated rig can inject, by its id in the catalogue.
 
 Each module of `emulator.causes` with a class that has a `name` takes part.
 """

@@ -6,7 +6,7 @@ the stage frame is then
 
     omega = (tilt_rate - pan_rate sin e, pan_rate cos e sin t, pan_rate cos e cos t).
 
-Frames and signs: recording contract, "Frames and signs".
+Frames and signs: docs/conventions.md.
 """
 
 from dataclasses import dataclass

@@ -32,7 +32,7 @@ class AxisTruth:
 
     resolution_arcsec: float  # nominal, as reported by the unit
     scale_error: float = 0.0  # true step = nominal x (1 + scale_error)
-    sign: int = 1  # -1: the unit counts opposite to the frame of the contract
+    sign: int = 1  # -1: the unit counts opposite to docs/conventions.md
     acceleration_error: float = 0.0  # true acceleration = commanded x (1 + error)
     base_speed_added_steps_s: float = 0.0  # true base speed = commanded + this
     s_curve_s: float = 0.0  # length of the window that averages the plan

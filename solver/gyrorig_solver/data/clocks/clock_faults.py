@@ -20,7 +20,7 @@ CounterArray = NDArray[np.integer]  # a sample counter, of any width
 # A step back by at most this many sample periods is a late sample, not a restart.
 MAX_REORDERING = 4
 MIN_STEP_S = 2e-3  # a smaller clock step cannot be separated from latency
-MAX_SKEW = 1e-3  # ceramic resonators: -640 ppm (Paul Stoffregen's Time library, issue 69)
+MAX_SKEW = 1e-3  # ceramic resonators: -640 ppm (PaulStoffregen/Time, issue 69)
 MAX_RATE_DRIFT = 2e-3  # relative drift of the sample rate over a gap
 WINDOW_BEFORE_S, WINDOW_AFTER_S = 15.0, 10.0  # windows of the minimum latency before and after
 QUEUE_DRAIN_S = 10.0  # within this time, a lag can be a queue that still drains
