@@ -137,7 +137,7 @@ def untold(measured: MeasuredSets) -> str:
 
 def _named(cause: CauseEntry) -> str:
     sizes = list(cause.parameters.items())
-    text = ", ".join(f"{name} {size_text(size)}" for name, size in sizes[:MOST])
+    text = ", ".join(f"{name} {size_text(cause.cause, name, size)}" for name, size in sizes[:MOST])
     also = "".join(f" or `{alternative}`" for alternative in cause.one_of)
     return f"`{cause.cause}`{also} ({text}{', ...' if len(sizes) > MOST else ''})"
 

@@ -12,7 +12,7 @@ from gyrorig_solver.calibration.calibration_document import CalibrationDocument,
 from gyrorig_solver.model import (
     PARAMETER_GROUPS,
     ParameterGroup,
-    display_unit,
+    cause_display_unit,
     format_quantity,
     format_short,
 )
@@ -126,13 +126,9 @@ def cause_groups(calibration: CalibrationDocument) -> tuple[ParameterGroup, ...]
 
 
 def _cause_unit(name: str, unit: str) -> tuple[float, str]:
-    """Return factor and unit to show: SI for times and fractions that are no sizes."""
+    """Return factor and unit to show for `cause` or `cause.parameter`."""
     cause, _, parameter_name = name.partition(".")
-    parameters = catalogue()[cause].parameters if cause in catalogue() else ()
-    roles = {parameter.name: parameter.role for parameter in parameters}
-    if roles.get(parameter_name, "size") != "size" and unit in ("1", "s"):
-        return 1.0, unit
-    return display_unit(unit)
+    return cause_display_unit(cause, parameter_name, unit)
 
 
 def _entry_labels(name: str, count: int) -> tuple[str, ...]:

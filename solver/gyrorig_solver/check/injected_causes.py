@@ -83,7 +83,7 @@ def _score_injected(injected: Mapping[str, Any], document: FindingsDocument) -> 
     cause, size = str(injected["cause"]), injected["size"]
     value, unit = float(size["value"]), str(size["unit"])
     where = place_text(str(injected["where"]))
-    injected_text = f"the rig had {cause}{where}, size {amount_text(abs(value), unit)}"
+    injected_text = f"the rig had {cause}{where}, size {amount_text(cause, abs(value), unit)}"
     for finding in document.causes:
         if finding.cause == cause and not finding.one_of:
             return ScoredCause(
@@ -99,7 +99,7 @@ def _score_injected(injected: Mapping[str, Any], document: FindingsDocument) -> 
             )
     for limit in document.minimal_detectable:
         if limit.cause == cause and limit.unit == unit and abs(value) < (limit.size or 0.0):
-            shows = amount_text(limit.size, unit)
+            shows = amount_text(cause, limit.size, unit)
             return ScoredCause(
                 cause,
                 "unseen",
@@ -121,7 +121,11 @@ def _estimated_size_text(finding: CauseEntry, unit: str) -> str:
     sizes = [
         abs(size.value) for size in finding.parameters.values() if size.unit == unit and size.value
     ]
-    return f", with an estimated size of {amount_text(max(sizes), unit)}" if sizes else ""
+    return (
+        f", with an estimated size of {amount_text(finding.cause, max(sizes), unit)}"
+        if sizes
+        else ""
+    )
 
 
 def _false_positives(

@@ -1,7 +1,7 @@
 """Texts of findings: verdicts, causes, sizes and limits, for terminals and reports.
 
 What to use when: `findings_summary` for a terminal; the other functions for one part of a page.
-Files keep SI units; these texts use degrees, milliseconds and percent.
+Files keep SI units; each parameter has one unit in all texts.
 """
 
 from types import MappingProxyType
@@ -14,7 +14,7 @@ from gyrorig_solver.findings.findings_document import (
     FindingsDocument,
     SizeEntry,
 )
-from gyrorig_solver.model import DEG_PER_RAD, format_quantity, format_short
+from gyrorig_solver.model import DEG_PER_RAD, cause_display_unit, format_quantity, format_short
 from gyrorig_solver.model.catalogue import catalogue
 
 # Verdict of the document: title and sentence.
@@ -70,33 +70,28 @@ def cause_remedy(cause: str) -> str:
     return ReferenceSmoothing.remedy if cause == ReferenceSmoothing.cause else ""
 
 
-def display_unit(value: float, unit: str) -> tuple[float, str]:
-    """Return the factor from an SI unit to a unit that suits the value, and that unit."""
-    if unit.startswith("rad"):
-        return DEG_PER_RAD, "deg" + unit.removeprefix("rad").replace("^2", "²")
-    if unit == "s":
-        return (1.0, "s") if abs(value) >= 1.0 else (1e3, "ms")
-    if unit == "1" and 0.0 < abs(value) < 0.5:
-        return (100.0, "%") if abs(value) >= 1e-3 else (1e6, "ppm")
-    return 1.0, "" if unit == "1" else unit.replace("^2", "²")
+def size_text(cause: str, name: str, size: SizeEntry) -> str:
+    """Return a value with its standard uncertainty and unit.
 
-
-def size_text(size: SizeEntry) -> str:
-    """Return a value with its standard uncertainty and unit."""
+    Args:
+        cause: the id of the cause.
+        name: the parameter, with its component.
+        size: its entry in a document.
+    """
     if size.value is None:
         return "unknown"
-    factor, unit = display_unit(size.value, size.unit)
+    factor, unit = cause_display_unit(cause, name.partition(".")[0], size.unit)
     if not size.std:
         return f"{format_short(size.value * factor)} {unit}".strip()
     value, std = format_quantity(size.value * factor, size.std * factor)
     return f"{value} ± {std} {unit}".strip()
 
 
-def amount_text(value: float | None, unit: str) -> str:
-    """Return a value with its unit."""
+def amount_text(cause: str, value: float | None, unit: str) -> str:
+    """Return a size of a cause with its unit."""
     if value is None:
         return "any"
-    factor, word = display_unit(value, unit)
+    factor, word = cause_display_unit(cause, "", unit)
     return f"{format_short(value * factor)} {word}".strip()
 
 
@@ -116,14 +111,14 @@ def main_size_text(cause: CauseEntry) -> str:
     # A time or a shape can be more significant than the size, but it is no size.
     others = {p.name for p in term.parameters if p.role != "size"} if term is not None else set()
     sizes = [
-        size
+        (name, size)
         for name, size in cause.parameters.items()
         if size.value is not None and size.std and name.split(".")[0] not in others
     ]
     if not sizes:
         return ""
-    largest = max(sizes, key=lambda size: abs(size.value or 0.0) / (size.std or 1.0))
-    return size_text(largest).removeprefix("+")
+    name, largest = max(sizes, key=lambda named: abs(named[1].value or 0.0) / (named[1].std or 1.0))
+    return size_text(cause.cause, name, largest).removeprefix("+")
 
 
 def parameter_bias_sigma(document: FindingsDocument, cause: CauseEntry) -> float | None:
@@ -185,7 +180,7 @@ def _limit_text(limit: DetectableEntry) -> str:
     place = "" if limit.where in (None, "all") else f" ({limit.where})"
     if limit.size is None:
         return f"{place} at any size; it"
-    return f"{place} below {amount_text(limit.size, limit.unit)}; a smaller size"
+    return f"{place} below {amount_text(limit.cause, limit.size, limit.unit)}; a smaller size"
 
 
 def _heading(document: FindingsDocument) -> str:
@@ -205,7 +200,9 @@ def _heading(document: FindingsDocument) -> str:
 def _cause_lines(document: FindingsDocument, cause: CauseEntry) -> list[str]:
     name = " or ".join([cause.cause, *cause.one_of])
     lines = [f"  ! {name}{place_text(cause.where)}: {cause.evidence.seen_as}"]
-    sizes = ", ".join(f"{name} {size_text(size)}" for name, size in cause.parameters.items())
+    sizes = ", ".join(
+        f"{name} {size_text(cause.cause, name, size)}" for name, size in cause.parameters.items()
+    )
     bias_sigma = parameter_bias_sigma(document, cause)
     if bias_sigma is not None:
         sizes += (

@@ -6,7 +6,7 @@ stage of the signal path; `term` for the interface of a cause, `term_kinds` for 
 """
 
 from gyrorig_solver.model.board_temperature import BoardTemperature
-from gyrorig_solver.model.catalogue import find_term, term_of_law
+from gyrorig_solver.model.catalogue import cause_display_unit, find_term, term_of_law
 from gyrorig_solver.model.gain_matrix import (
     FACTOR_NAMES,
     GAIN_NAMES,
@@ -72,6 +72,7 @@ __all__ = [
     "Stage",
     "Term",
     "TermParameter",
+    "cause_display_unit",
     "components_of",
     "cross_matrix",
     "dense_signals",

@@ -3,7 +3,8 @@
 Every module of `model.causes` that has a `TERM` takes part: a new cause is a new file.
 
 What to use when: `catalogue` for all causes; `find_term` for one that a user has named;
-`term_of_law` for the one that is a quantity of the motion law.
+`term_of_law` for the one that is a quantity of the motion law; `cause_display_unit` for the unit
+of a size.
 """
 
 import importlib
@@ -14,6 +15,7 @@ from types import MappingProxyType
 from gyrorig_protocol.errors import UsageError
 from gyrorig_protocol.suggestions import did_you_mean
 from gyrorig_solver.model import causes
+from gyrorig_solver.model.parameter_units import MIN_PERCENT_RATIO, display_unit
 from gyrorig_solver.model.term import Term
 
 
@@ -33,6 +35,21 @@ def catalogue() -> MappingProxyType[str, Term]:
 def term_of_law(quantity: str) -> Term:
     """Return the cause whose values are a `LawQuantity`, for example "acceleration"."""
     return next(term for term in catalogue().values() if term.law_quantity == quantity)
+
+
+def cause_display_unit(cause: str, parameter: str, unit: str) -> tuple[float, str]:
+    """Return the factor from a parameter's SI unit to the one shown everywhere, and that unit.
+
+    Args:
+        cause: an id; a finding can have one that is not in the catalogue.
+        parameter: its name; "" for the first parameter in that unit.
+        unit: the SI unit.
+    """
+    parameters = catalogue()[cause].parameters if cause in catalogue() else ()
+    typical_sizes = (
+        p.typical_size for p in parameters if p.unit == unit and parameter in ("", p.name)
+    )
+    return display_unit(unit, next(typical_sizes, MIN_PERCENT_RATIO))
 
 
 def find_term(cause: str) -> Term:

@@ -10,6 +10,8 @@ import math
 from dataclasses import dataclass
 
 DEG_PER_RAD = 180.0 / math.pi
+# Typical sizes from which a parameter has a larger unit: every value of it then has this unit.
+MIN_PERCENT_RATIO, MIN_PLAIN_RATIO, MIN_SECONDS_S = 0.01, 0.5, 1.0
 
 # SI unit: factor and unit for people. Sizes of causes and of parameters use the same table.
 DISPLAY_UNITS = {
@@ -58,8 +60,20 @@ def parameter_label(name: str, component: str = "") -> str:
     return f"{name}.{component}" if component else name
 
 
-def display_unit(unit: str) -> tuple[float, str]:
-    """Return the factor from an SI unit to the one shown, and that unit."""
+def display_unit(unit: str, typical_size: float = 0.0) -> tuple[float, str]:
+    """Return the factor from an SI unit to the one shown, and that unit.
+
+    Args:
+        unit: the SI unit.
+        typical_size: of the parameter. With a typical size of 1 % or more, a ratio is in %, and of
+            0.5 or more a plain number; a time with a typical size of 1 s or more is in s.
+    """
+    if unit == "1" and typical_size >= MIN_PLAIN_RATIO:
+        return 1.0, ""
+    if unit == "1" and typical_size >= MIN_PERCENT_RATIO:
+        return 100.0, "%"
+    if unit == "s" and typical_size >= MIN_SECONDS_S:
+        return 1.0, "s"
     return DISPLAY_UNITS.get(unit, (1.0, unit))
 
 

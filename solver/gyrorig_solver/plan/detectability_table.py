@@ -9,14 +9,13 @@ from collections.abc import Sequence
 from itertools import groupby
 from typing import Any
 
-from gyrorig_solver.model import display_unit, plural
+from gyrorig_solver.model import cause_display_unit, plural
 from gyrorig_solver.plan.detectability import (
     CauseDetectability,
     ConfusablePair,
     DetectabilityReport,
 )
 
-PERCENT_ABOVE_PPM = 1e4  # larger typical sizes are shown in per cent
 HEADER: tuple[str, ...] = (
     "cause",
     "detectable",
@@ -148,9 +147,7 @@ def _group_by_cause(report: DetectabilityReport) -> list[tuple[str, list[CauseDe
 def _row(group: Sequence[CauseDetectability]) -> tuple[str, ...]:
     detectable = [cause for cause in group if cause.is_detectable]
     worst = max(group, key=lambda cause: cause.parameter_bias_sigma)
-    factor, unit = display_unit(worst.unit)
-    if unit == "ppm" and worst.typical * factor >= PERCENT_ABOVE_PPM:
-        factor, unit = 100.0, "%"
+    factor, unit = cause_display_unit(worst.term.cause, "", worst.unit)
     sizes = sorted(
         {
             _short_number(size * factor)

@@ -15,14 +15,20 @@ from gyrorig_solver.findings.findings_document import ChangeEntry, GainEntry
 from gyrorig_solver.findings.findings_wording import (
     cause_headline,
     cause_title,
-    display_unit,
     main_size_text,
     p_value_text,
     parameter_bias_sigma,
     size_text,
     verdict_words,
 )
-from gyrorig_solver.model import DEG_PER_RAD, format_quantity, format_short, group_of, plural
+from gyrorig_solver.model import (
+    DEG_PER_RAD,
+    cause_display_unit,
+    format_quantity,
+    format_short,
+    group_of,
+    plural,
+)
 from gyrorig_solver.model.catalogue import catalogue
 
 MIN_SHIFT_SIGMA, MIN_ROWS = 0.3, 2  # smaller changes of parameters are shown in two rows only
@@ -221,7 +227,10 @@ def _cause_view(
         "one_of": [_lower_title(other) for other in cause.one_of],
         "seen_as": cause.evidence.seen_as[:1].upper() + cause.evidence.seen_as[1:],
         "sizes": [
-            ("when" if name == "time" else name, size_text(size) + _time_reference(name))
+            (
+                "when" if name == "time" else name,
+                size_text(cause.cause, name, size) + _time_reference(name),
+            )
             for name, size in cause.parameters.items()
         ],
         "p_value": "" if p_value is None else p_value_text(p_value),
@@ -280,7 +289,8 @@ def _change_rows(changes: Sequence[ChangeEntry]) -> list[dict[str, str]]:
         if group is not None:
             factor, unit = group.factor, "" if group.unit == "1" else group.unit
         else:
-            factor, unit = display_unit(max(abs(change.before), abs(change.after)), change.unit)
+            cause = change.parameter.partition(".")[0].partition("@")[0]
+            factor, unit = cause_display_unit(cause, "", change.unit)
         before, _ = format_quantity(factor * change.before, factor * change.std)
         after, std = format_quantity(factor * change.after, factor * change.std)
         rows.append(
@@ -320,8 +330,10 @@ def _undetected_row(cause: Any) -> dict[str, str]:
     return {
         "what": cause_title(cause.cause) + place_text(cause.where),
         "id": cause.cause,
-        "size": amount_text(cause.size, cause.unit),
-        "typical": "" if cause.typical is None else amount_text(cause.typical, cause.unit),
+        "size": amount_text(cause.cause, cause.size, cause.unit),
+        "typical": ""
+        if cause.typical is None
+        else amount_text(cause.cause, cause.typical, cause.unit),
         "moves": cause.would_move or "no parameter",
         "sigma": "" if cause.by_sigma is None else format_short(cause.by_sigma),
     }

@@ -1,0 +1,41 @@
+"""A parameter has one unit wherever people read it, whatever its size."""
+
+import pytest
+
+from gyrorig_solver.calibration.calibration_wording import _cause_unit
+from gyrorig_solver.findings.findings_document import SizeEntry
+from gyrorig_solver.findings.findings_wording import amount_text, size_text
+from gyrorig_solver.model.catalogue import catalogue, cause_display_unit
+
+
+@pytest.mark.parametrize(
+    ("cause", "name", "unit"),
+    [
+        ("scale_asymmetry", "share.x", "ppm"),
+        ("clock_skew", "rate", "ppm"),
+        ("ringing", "share.pan", "%"),
+        ("saturation", "shortfall", "%"),
+        ("wrong_full_scale", "doublings", ""),
+        ("bias_step", "time", "s"),
+        ("clock_step", "step", "ms"),
+        ("stuck_axis", "share", "%"),
+    ],
+)
+def test_the_size_does_not_change_the_unit(cause: str, name: str, unit: str) -> None:
+    si_unit = "s" if unit in ("s", "ms") else "1"
+    for value in (1e-5, 3e-3, 0.2, 2.0):
+        assert size_text(cause, name, SizeEntry(value, value / 10.0, si_unit)).endswith(
+            f" {unit}".rstrip()
+        )
+    factor = {"ppm": 1e6, "%": 100.0, "ms": 1e3}.get(unit, 1.0)
+    assert cause_display_unit(cause, name.partition(".")[0], si_unit) == (factor, unit)
+
+
+@pytest.mark.parametrize("cause", catalogue())
+def test_findings_and_calibrations_have_the_same_unit(cause: str) -> None:
+    for parameter in catalogue()[cause].parameters:
+        shown = cause_display_unit(cause, parameter.name, parameter.unit)
+        assert _cause_unit(f"{cause}.{parameter.name}", parameter.unit) == shown
+    size = next(p for p in catalogue()[cause].parameters if p.role == "size")
+    unit = cause_display_unit(cause, size.name, size.unit)[1]
+    assert amount_text(cause, 1e-3, size.unit).endswith(unit)
