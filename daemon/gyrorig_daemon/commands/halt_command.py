@@ -105,8 +105,11 @@ def _read_port_and_baud(path: Path, port_is_given: bool) -> tuple[str | None, in
         ) from fault
     port, baud = _port_and_baud(text, path.name)
     if port is None and not port_is_given:
+        from gyrorig_protocol.file_kinds import describe_file_kind  # noqa: PLC0415 - for an error
+
         raise UsageError(
-            f"the rig file {path} does not contain the port of the pan-tilt unit",
+            f"the rig file {path} does not contain the port of the pan-tilt unit. It is "
+            f"{describe_file_kind(text)}",
             "give the port of the unit with --port",
         )
     return port, baud

@@ -272,7 +272,7 @@ def _without_causes(prior: PlanPrior) -> PlanPrior:
 
 def _sensor_profile(name: str) -> SensorProfile:
     path = Path(name)
-    if path.suffix in (".yaml", ".yml"):
+    if path.suffix in (".yaml", ".yml") or path.is_file():
         return parse_profile(_read_file(path, PROFILE_HINT), path.name)
     profile = find_profile(name)
     if profile is None:

@@ -33,7 +33,7 @@ from gyrorig_solver.fleet.store.index_rows import (
 )
 from gyrorig_solver.fleet.store.manifest import Signer, remove_manifests, write_manifests
 from gyrorig_solver.fleet.store.store_backend import exclusive_access, open_index
-from gyrorig_solver.storage import Storage, StorageEntry, storage_at
+from gyrorig_solver.storage import Folder, Storage, StorageEntry, storage_at
 
 LISTED_COLUMNS = ("board", "version", "trust", "created", "start", "sensor", "rig", "uid", "file")
 _RECORDING_NAME = re.compile(r"\d{8}T\d{6}Z_(?P<rig>[A-Za-z0-9-]+)_(?P<session>.+?)(_p\d+)?\.mcap")
@@ -76,6 +76,12 @@ def open_existing_store(store: Path | Storage) -> CalibrationStore:
         MachineError: the bucket does not answer.
     """
     storage = storage_at(store)
+    if isinstance(storage, Folder) and storage.path.is_file():
+        raise UsageError(
+            f"{storage.location} is a file. A calibration store, which is a folder, is expected "
+            "here",
+            "give the location that was used with `gyrorig batch --store`",
+        )
     if storage.read(STORE_FILE) is None:
         raise UsageError(
             f"the location {storage.location} is not a calibration store, because it has no "
