@@ -55,8 +55,8 @@ class SimulatedRig:
     def truth(self) -> FloatArray:
         """True parameters in the order of `tests.bench.accuracy.board.NAMES`.
 
-        The bias is the mean reading at rest over the recording. With a board slip the sensor matrix
-        is the one before it.
+        The bias is the mean reading at rest over the recording; see also `stated_truth`. With a
+        board slip the sensor matrix is the one before it.
         """
         return np.concatenate(
             [

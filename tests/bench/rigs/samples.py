@@ -5,6 +5,7 @@ shortest latency and a random delay. Two computers may record unit and board, so
 arrival times can have a skew or a step against the unit's.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -52,6 +53,7 @@ class StreamTruth:
 
     rest_bias_rad_s: FloatArray  # (3,), mean reading at rest over the recording
     base_bias_rad_s: FloatArray  # (3,), the same without g-sensitivity, warm-up and bias step
+    bias_parts_rad_s: Mapping[str, FloatArray]  # (3,), part of `rest_bias_rad_s` by each cause
     delay_s: float  # of the time stamps behind the motion
     sample_s: FloatArray  # (n,), true instants
     clean_rad_s: FloatArray  # (n, 3), without noise and counts
@@ -73,9 +75,9 @@ def record_board(
     taken_s = ready_s + causes.get("sample_jitter") * rng.normal(size=count)
     element = element_rad_s(gyroscope, motion, causes, span_s)
     smooth = filtered_rad_s(gyroscope, motion, element, causes, rng if is_noisy else None)
-    rest, base, thermal = _slow_bias(gyroscope, causes, ready_s, span_s, rng, is_noisy)
+    base, parts = _slow_bias(gyroscope, causes, ready_s, span_s, rng, is_noisy)
     gravity = _at_begins(motion, motion.gravity_m_s2, taken_s)
-    clean = _at_begins(motion, smooth, taken_s) + base + rest
+    clean = _at_begins(motion, smooth, taken_s) + base + sum(parts.values())
     clean = clean + _hum(causes, ready_s)
     limit = FULL_SCALE_RAD_S * max(0.05, 1.0 - causes.get("saturation"))
     if causes.get("saturation"):
@@ -100,10 +102,18 @@ def record_board(
         gyro=gyro,
         accel=_accelerometer(gyroscope, gravity, rng),
     )
-    g_bias = gravity @ g_matrix(causes).T
+    means = {cause: part.mean(axis=0) for cause, part in parts.items()}
+    means["g_sensitivity"] = (gravity @ g_matrix(causes).T).mean(axis=0)
+    rest_bias = base.mean(axis=0) + sum(means.values())
+    die_degc = gyroscope.warming.die_degc(ready_s - span_s[0], span_s[1] - span_s[0])
+    late_k = float(np.mean(die_degc - temperature))
     truth = StreamTruth(
-        rest_bias_rad_s=(base + rest + g_bias).mean(axis=0),
-        base_bias_rad_s=(base + thermal).mean(axis=0),
+        rest_bias_rad_s=rest_bias,
+        base_bias_rad_s=base.mean(axis=0) + means["thermal_bias"],
+        bias_parts_rad_s={
+            **{cause: means[cause] for cause in ("g_sensitivity", "warm_up", "bias_step")},
+            "thermal_bias": late_k * causes.of_axes("thermal_bias"),
+        },
         delay_s=gyroscope.delay_s(causes) + floor_s + age / gyroscope.odr_hz,
         sample_s=ready_s,
         clean_rad_s=clean,
@@ -118,8 +128,8 @@ def _slow_bias(
     span_s: tuple[float, float],
     rng: np.random.Generator,
     is_noisy: bool,
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return what causes add to the bias at rest, the bias without them, and the thermal part.
+) -> tuple[FloatArray, dict[str, FloatArray]]:
+    """Return the bias at rest without causes, and what each cause adds.
 
     Each has shape (n, 3). The random walk of a cause belongs to the bias.
     """
@@ -132,14 +142,13 @@ def _slow_bias(
     warm_s = causes.get("warm_up", "time_s") or 1.0
     walk = rng.normal(size=(time_s.size, 3)) / np.sqrt(gyroscope.odr_hz)
     base = base + np.cumsum(walk, axis=0) * causes.of_axes("bias_random_walk")
-    thermal = np.outer(die - TEMPERATURE_OFFSET_DEGC, causes.of_axes("thermal_bias"))
-    added = (
-        thermal
-        + np.outer(np.exp(-since / warm_s), causes.of_axes("warm_up"))
-        + np.outer(since - long_s / 2.0, causes.of_axes("bias_ramp"))
-        + np.outer(since >= causes.get("bias_step", "at") * long_s, causes.of_axes("bias_step"))
-    )
-    return added, base, thermal
+    is_after = since >= causes.get("bias_step", "at") * long_s
+    return base, {
+        "thermal_bias": np.outer(die - TEMPERATURE_OFFSET_DEGC, causes.of_axes("thermal_bias")),
+        "warm_up": np.outer(np.exp(-since / warm_s), causes.of_axes("warm_up")),
+        "bias_ramp": np.outer(since - long_s / 2.0, causes.of_axes("bias_ramp")),
+        "bias_step": np.outer(is_after, causes.of_axes("bias_step")),
+    }
 
 
 def _hum(causes: HiddenCauses, time_s: FloatArray) -> FloatArray:

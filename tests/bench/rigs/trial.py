@@ -63,6 +63,7 @@ def run_trial(seed: int, is_persistent: bool, solver: Solver) -> dict[str, Any]:
     rig = draw_rig(seed, is_persistent)
     row = rig.description() | {"truth": rig.truth.tolist()}
     row["base_bias"] = rig.stream_truth.base_bias_rad_s.tolist()
+    bias_parts = rig.stream_truth.bias_parts_rad_s
     with tempfile.TemporaryDirectory() as folder:
         recording, out = Path(folder, f"rig-{seed}.mcap"), Path(folder, "out")
         write_recording(rig, recording)
@@ -73,7 +74,28 @@ def run_trial(seed: int, is_persistent: bool, solver: Solver) -> dict[str, Any]:
         written = sorted(out.glob("*/v0001.yaml"))
         if not written:
             return row | {"failed": output.strip().splitlines()[-1:] or ["no output"]}
-        return row | read_calibration(written[0])
+        row |= read_calibration(written[0])
+    return row | {"truth": stated_truth(row["truth"], bias_parts, row["terms"])}
+
+
+def stated_truth(
+    truth: Sequence[float], bias_parts: Mapping[str, FloatArray], fitted: Sequence[str]
+) -> list[float]:
+    """Return the truth of what a calibration states, (13,).
+
+    The calibration states the bias without the causes that it contains: y = G omega + b + causes,
+    see docs/conventions.md. The bias of a cause that it does not contain is a part of b.
+
+    Args:
+        truth: with the mean reading at rest as the bias.
+        bias_parts: what each cause adds to it.
+        fitted: the causes of the calibration.
+    """
+    bias = np.array(truth[:3])
+    for cause, part in bias_parts.items():
+        if cause in fitted:
+            bias = bias - part
+    return [*bias.tolist(), *truth[3:]]
 
 
 def read_calibration(path: Path) -> dict[str, Any]:

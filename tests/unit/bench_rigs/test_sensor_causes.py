@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import maximum_filter1d, minimum_filter1d
 from tests.bench.rigs.rig import SimulatedRig
+from tests.bench.rigs.trial import stated_truth
 
 SETTLED_SAMPLES = 41  # about a sample in which a steady rate does not change
 
@@ -112,6 +113,26 @@ def test_temperature_changes_bias_and_scale(plain: SimulatedRig, record: Any) ->
     at, u = steady(plain, 2), pure_rate(plain)[:, 2]
     # The room warms by up to 4 K/s here, and the low-pass shows the rate of some time before.
     assert scale[at, 2] / u[at] == pytest.approx(0.1 * (die - die.mean())[at], abs=6e-3)
+
+
+def test_stated_bias_is_without_the_causes_that_a_calibration_contains(
+    plain: SimulatedRig, record: Any
+) -> None:
+    """y = G omega + b + causes: b is that of the rig without them, at the thermometer's mean."""
+    causes = {
+        "g_sensitivity": {"zz": 2e-3},
+        "warm_up": {"x": 0.01, "time_s": 3.0},
+        "bias_step": {"z": -0.01, "at": 0.25},
+        "thermal_bias": {"y": 0.01, "lag_s": 20.0},
+    }
+    other = record(causes)
+    parts = other.stream_truth.bias_parts_rad_s
+    stated = np.array(stated_truth(other.truth.tolist(), parts, list(causes)))
+    mean_degc = np.mean(other.stream.temperature) * 0.1 + 25.0
+    expected = plain.truth[:3] + np.array([0.0, 0.01 * (mean_degc - 25.0), 0.0])
+    assert stated[:3] == pytest.approx(expected, abs=0.01 * 0.05)  # rounded to 0.1 K
+    assert stated[3:].tolist() == other.truth[3:].tolist()
+    assert stated_truth(other.truth.tolist(), parts, ["ringing"]) == other.truth.tolist()
 
 
 def test_slow_changes_of_the_bias(plain: SimulatedRig, record: Any) -> None:
