@@ -225,10 +225,12 @@ class UncertaintyRecord(_DocumentPart, frozen=True):
     Shares of causes that resemble each other overlap, therefore they need not sum to one.
     """
 
-    coverage_factor: float  # of the intervals
+    coverage_factor: float  # of an interval, in units of `total`, if all errors are normal
     parameters: dict[str, ParameterUncertainty]
     budget: list[BudgetRow]  # for each parameter the largest first
     settings_sha256: str  # of the prior sizes and the limits
+    # of each interval; None where it is the value and k times `total` on both sides
+    coverage_probability: float | None = None
 
 
 class UnitPriorRecord(_DocumentPart, frozen=True, omit_defaults=True):

@@ -25,10 +25,11 @@ from gyrorig_solver.calibration.calibration_wording import value_std_pairs
 from gyrorig_solver.calibration.uncertainty_wording import contribution_name, main_contribution
 from gyrorig_solver.discover import CALIBRATION_PARAMETERS
 from gyrorig_solver.model import PARAMETER_GROUPS, format_short, group_of, parameter_label
+from gyrorig_solver.numerics import normal_upper_tail
 from gyrorig_solver.uncertainty import UncertaintyBudget
 from gyrorig_solver.uncertainty.uncertainty_budget import BudgetEntry
 
-COVERAGE_FACTOR = 2.0
+COVERAGE_FACTOR = 2.0  # of an interval if all errors are normal
 MIN_SHARE = 0.01  # of the total variance; smaller contributions are not listed
 MAX_ROWS = 4  # listed contributions to one parameter
 NOISE_REMEDY = "record for longer, or solve several recordings together"
@@ -55,21 +56,28 @@ def build_uncertainty(
     parameters: dict[str, ParameterUncertainty] = {}
     rows: list[BudgetRow] = []
     causes_std = dict(zip(CALIBRATION_PARAMETERS, budget.std, strict=True))
-    for name, value, std, unit in _base_values(calibration.parameters):
+    base_values = _base_values(calibration.parameters)
+    noise_std = {name: std for name, _, std, _ in base_values}
+    probability = 1.0 - 2.0 * normal_upper_tail(COVERAGE_FACTOR)
+    errors = budget.error_interval(
+        np.array([noise_std.get(name, np.nan) for name in CALIBRATION_PARAMETERS]), probability
+    )
+    for name, value, std, unit in base_values:
+        index = CALIBRATION_PARAMETERS.index(name)
         type_b = float(causes_std[name])
         total = math.hypot(std, type_b)
         parameters[name] = ParameterUncertainty(
             type_a=std,
             type_b=type_b,
             total=total,
-            interval=[value - COVERAGE_FACTOR * total, value + COVERAGE_FACTOR * total],
+            interval=[value - float(errors[index, 1]), value - float(errors[index, 0])],
             limit=budget.settings.limits[name.partition(".")[0]],
             unit=unit,
         )
-        index = CALIBRATION_PARAMETERS.index(name)
         rows += _budget_rows(name, index, total, budget.entries)
     return UncertaintyRecord(
         coverage_factor=COVERAGE_FACTOR,
+        coverage_probability=probability,
         parameters=parameters,
         budget=rows,
         settings_sha256=budget.settings.sha256,

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from gyrorig_solver.calibration import CalibrationDocument
+from gyrorig_solver.calibration.calibration_document import ParameterUncertainty
 from gyrorig_solver.calibration.calibration_wording import (
     axes_text,
     cause_groups,
@@ -155,9 +156,7 @@ def uncertainty_rows(calibration: CalibrationDocument) -> list[dict[str, Any]]:
                 "type_a": format_two_digits(entry.type_a * factor),
                 "type_b": format_two_digits(entry.type_b * factor),
                 "total": format_two_digits(entry.total * factor),
-                "interval": " to ".join(
-                    format_quantity(end * factor, entry.total * factor)[0] for end in entry.interval
-                ),
+                "interval": _interval_text(entry, factor),
                 "limit": format_short(entry.limit * factor),
                 "above": entry.total > entry.limit,
                 "contributions": [
@@ -172,6 +171,12 @@ def uncertainty_rows(calibration: CalibrationDocument) -> list[dict[str, Any]]:
             }
         )
     return rows
+
+
+def _interval_text(entry: ParameterUncertainty, factor: float) -> str:
+    """Return the interval, rounded as by its standard uncertainty if all errors were normal."""
+    low, high = (factor * end for end in entry.interval)
+    return " to ".join(format_quantity(end, 0.25 * (high - low))[0] for end in (low, high))
 
 
 def contribution_remedies(calibration: CalibrationDocument) -> list[dict[str, str]]:

@@ -118,20 +118,23 @@ def inverse_gain(calibration: CalibrationDocument) -> FloatArray:
 
 
 def _scale_errors(calibration: CalibrationDocument) -> tuple[float, float] | None:
-    """Return the worst axis' scale factor error in %: nominal, and half of the 95 % interval.
+    """Return the worst axis' scale factor error in %: nominal, and limit of the 95 % interval.
 
-    The interval is that of the total uncertainty where it is stated.
+    The interval is that of the total uncertainty where it is stated. Its limit is its end that is
+    farther from the value.
     """
-    pairs = [(v, s) for v, s in value_std_pairs(calibration.parameters["scale"]) if v is not None]
+    all_pairs = value_std_pairs(calibration.parameters["scale"])
+    pairs = [(v, s) for v, s in all_pairs if v is not None]
     if not pairs or any(s is None for _, s in pairs):
         return None
     worst = max(abs(v - 1.0) for v, _ in pairs)
     half_widths = [1.96 * (s or 0.0) for _, s in pairs]
     if calibration.uncertainty is not None:
+        entries = calibration.uncertainty.parameters
         half_widths += [
-            calibration.uncertainty.coverage_factor * entry.total
-            for name, entry in calibration.uncertainty.parameters.items()
-            if name.startswith("scale.")
+            max(abs(end - value) for end in entries[f"scale.{axis}"].interval)
+            for axis, (value, _) in zip("xyz", all_pairs, strict=True)
+            if value is not None and f"scale.{axis}" in entries
         ]
     return 100.0 * worst, 100.0 * max(half_widths)
 

@@ -1,7 +1,8 @@
 """The type B uncertainty of a calibration: causes that were not identified.
 
 What to use when: `uncertainty_budget.assess_uncertainty` at a fit; `uncertainty_settings` for the
-prior sizes of the causes and the limits of the verdict; `marginal_covariance` for the algebra.
+prior sizes of the causes and the limits of the verdict; `marginal_covariance` for the algebra of
+the total, `mixture_interval` for that of the intervals.
 """
 
 from gyrorig_solver.uncertainty.uncertainty_budget import UncertaintyBudget, assess_uncertainty

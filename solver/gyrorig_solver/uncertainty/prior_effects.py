@@ -46,6 +46,7 @@ class UnidentifiedCause:
     prior: PriorSize
     positions: tuple[int, ...]  # of the sizes that were not fitted, among all its sizes
     templates: FloatArray  # (b, k)
+    is_present: bool = False  # a size of it was fitted
 
     @property
     def places(self) -> tuple[str | None, ...]:
@@ -87,7 +88,8 @@ def unidentified_causes(
             positions = tuple(k for k, index in enumerate(sizes) if index not in fitted)
             templates = prior_templates(term, projector.states, prior)
             if positions and len(templates):  # a motor at rest loses no steps
-                causes.append(UnidentifiedCause(term, prior, positions, templates))
+                is_present = len(positions) < len(sizes)
+                causes.append(UnidentifiedCause(term, prior, positions, templates, is_present))
     return causes
 
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gyrorig_solver.data import FloatArray
+from gyrorig_solver.data import FloatArray, IntArray
 from gyrorig_solver.discover import CALIBRATION_PARAMETERS
 from gyrorig_solver.discover.calibration_changes import CalibrationValues, last_recording_part
 from gyrorig_solver.estimate import (
@@ -21,15 +21,20 @@ from gyrorig_solver.estimate import (
 )
 from gyrorig_solver.estimate.corrected_fit import FitCorrection
 from gyrorig_solver.model import Term
-from gyrorig_solver.uncertainty.fit_linearisation import linearise_fit
+from gyrorig_solver.uncertainty.fit_linearisation import FitLinearisation, linearise_fit
 from gyrorig_solver.uncertainty.marginal_covariance import MarginalCauses
+from gyrorig_solver.uncertainty.mixture_interval import (
+    ErrorMixture,
+    UncertainSizes,
+    error_mixture,
+)
 from gyrorig_solver.uncertainty.prior_effects import (
     UnidentifiedCause,
     unidentified_causes,
     whitened_effects,
 )
 from gyrorig_solver.uncertainty.uncertainty_settings import UncertaintySettings, default_settings
-from gyrorig_solver.uncertainty.unit_marginals import UnitMarginals, unit_information
+from gyrorig_solver.uncertainty.unit_marginals import UnitMarginals, size_prior, unit_information
 from gyrorig_solver.uncertainty.unit_values import (
     UnitInformation,
     UnitPosterior,
@@ -58,6 +63,7 @@ class UncertaintyBudget:
     settings: UncertaintySettings
     corrections: tuple[FitCorrection, ...] = ()  # of each recording, by what the unit is known for
     unit_information: UnitInformation | None = None  # what the recordings show of the unit
+    mixture: ErrorMixture | None = None  # of the errors by causes; None where all are normal
 
     @property
     def std(self) -> FloatArray:
@@ -66,6 +72,18 @@ class UncertaintyBudget:
         The expected error is not corrected in the stated values, therefore its square counts.
         """
         return np.sqrt(np.clip(np.diag(self.covariance), 0.0, None) + self.expected_error**2)
+
+    def error_interval(self, noise_std: FloatArray, probability: float) -> FloatArray:
+        """Return the probabilistically symmetric interval of each stated value's error, (p, 2).
+
+        Args:
+            noise_std: type A standard uncertainty, (p,); NaN gives NaN.
+            probability: of the interval.
+        """
+        mixture = self.mixture
+        if mixture is None:
+            mixture = ErrorMixture.normal(self.expected_error, np.diag(self.covariance))
+        return mixture.interval(noise_std, probability)
 
 
 def assess_uncertainty(
@@ -95,7 +113,8 @@ def assess_uncertainty(
     information = unit_information(fits[-1], len(unit_value_names()))
     if unit_prior is not None:
         marginals = [UnitMarginals.of(fit, unit_prior) for fit in fits]
-        return _corrected_budget(calibration, marginals, causes, settings, information)
+        mixture = _corrected_mixture(calibration, marginals[-1], fits[-1], unit_prior, causes)
+        return _corrected_budget(calibration, marginals, causes, settings, information, mixture)
     influence = np.stack(
         [
             calibration.propagate(last_recording_part(shift, len(solution.sessions)))
@@ -109,7 +128,79 @@ def assess_uncertainty(
         entries=tuple(_entries(causes, marginal)),
         settings=settings,
         unit_information=information,
+        mixture=_mixture(fits[-1], influence, causes),
     )
+
+
+def _mixture(
+    fit: FitLinearisation, influence: FloatArray, causes: Sequence[UnidentifiedCause]
+) -> ErrorMixture:
+    """Return the distribution of the errors of the fitted values."""
+    cause, probability, scale = _presence(causes)
+    return error_mixture(
+        UncertainSizes(
+            information=fit.information * np.outer(scale, scale),
+            score=fit.score * scale,
+            influence=influence * scale[:, None],
+            cause=cause,
+            probability=probability,
+            prior_covariance=np.eye(len(cause)),
+            prior_mean=np.zeros(len(cause)),
+        )
+    )
+
+
+def _corrected_mixture(
+    calibration: CalibrationValues,
+    marginals: UnitMarginals,
+    fit: FitLinearisation,
+    unit_prior: UnitPosterior,
+    causes: Sequence[UnidentifiedCause],
+) -> ErrorMixture:
+    """Return the distribution of the errors of the values that the unit's posterior has corrected.
+
+    The sizes of the unit are certain: their posterior is normal.
+    """
+    cause, probability, scale = _presence(causes)
+    left_out = len(cause)
+    cause = np.append(cause, np.zeros(len(fit.unit_position) - left_out, dtype=np.int64))
+    cause[fit.unit_position >= 0] = len(probability)
+    scale = np.append(scale, np.ones(len(cause) - left_out))
+    scale[fit.unit_position >= 0] = 1.0
+    information, score = fit.data_terms()
+    prior_covariance, prior_mean = size_prior(fit, unit_prior)
+    base = GAIN_PARAMETERS + SESSION_PARAMETERS
+    jacobian = calibration.jacobian
+    mixture = error_mixture(
+        UncertainSizes(
+            information=information * np.outer(scale, scale),
+            score=score * scale,
+            influence=-(jacobian @ marginals.derivative[:base]).T * scale[:, None],
+            cause=cause,
+            probability=np.append(probability, 1.0),
+            prior_covariance=prior_covariance,
+            prior_mean=prior_mean,
+        )
+    )
+    by_sizes = marginals.derivative @ marginals.size_covariance @ marginals.derivative.T
+    rest = (marginals.total_covariance - marginals.noise_covariance - by_sizes)[:base, :base]
+    return ErrorMixture(
+        mixture.weight,
+        mixture.mean + jacobian @ marginals.applied[:base],
+        mixture.variance + np.diag(jacobian @ rest @ jacobian.T),
+    )
+
+
+def _presence(causes: Sequence[UnidentifiedCause]) -> tuple[IntArray, FloatArray, FloatArray]:
+    """Return the cause of each signal, each cause's probability, and the signals' scale.
+
+    A signal is in units of the root mean square over absence and presence. Times its scale it is in
+    units of the standard deviation if present. A cause of which a size was fitted is present.
+    """
+    prior = np.array([cause.prior.probability for cause in causes])
+    is_present = np.array([cause.is_present for cause in causes])
+    cause = np.repeat(np.arange(len(causes)), [cause.signal_count for cause in causes])
+    return cause, np.where(is_present, 1.0, prior), 1.0 / np.sqrt(prior[cause])
 
 
 def _corrected_budget(
@@ -118,6 +209,7 @@ def _corrected_budget(
     causes: Sequence[UnidentifiedCause],
     settings: UncertaintySettings,
     information: UnitInformation,
+    mixture: ErrorMixture,
 ) -> UncertaintyBudget:
     """Return the budget of the values that the unit's posterior has corrected."""
     last, base = marginals[-1], GAIN_PARAMETERS + SESSION_PARAMETERS
@@ -133,6 +225,7 @@ def _corrected_budget(
         settings=settings,
         corrections=tuple(FitCorrection(m.shift, m.noise_covariance) for m in marginals),
         unit_information=information,
+        mixture=mixture,
     )
 
 

@@ -37,12 +37,13 @@ class UnitMarginals:
     size_covariance: FloatArray  # (c + f, c + f)
     size_mean: FloatArray  # (c + f,), 0 for the sizes that were corrected for
     derivative: FloatArray  # (q, c + f), of the parameters by the sizes
+    applied: FloatArray  # (q,), part of the shift that follows from the mean of the unit's sizes
 
     @classmethod
     def of(cls, fit: FitLinearisation, prior: UnitPosterior) -> Self:
         """Combine a fit with the posterior of its unit."""
         information, score = fit.data_terms()
-        prior_covariance, prior_mean = _size_prior(fit, prior)
+        prior_covariance, prior_mean = size_prior(fit, prior)
         # (P^-1 + J)^-1 without the inverse of P, as in `UnitPosterior.updated`.
         inner = np.eye(len(score)) + information @ prior_covariance
         covariance = np.linalg.solve(inner.T, prior_covariance).T
@@ -63,6 +64,7 @@ class UnitMarginals:
             size_covariance=covariance,
             size_mean=np.where(is_unit, 0.0, mean),
             derivative=derivative,
+            applied=applied @ mean,
         )
 
 
@@ -90,7 +92,7 @@ def unit_information(fit: FitLinearisation, unit_size_count: int) -> UnitInforma
     return UnitInformation(matrix, vector)
 
 
-def _size_prior(fit: FitLinearisation, prior: UnitPosterior) -> tuple[FloatArray, FloatArray]:
+def size_prior(fit: FitLinearisation, prior: UnitPosterior) -> tuple[FloatArray, FloatArray]:
     """Return covariance and mean of all sizes before the recording, in their units."""
     unit = np.flatnonzero(fit.unit_position >= 0)
     position, scale = fit.unit_position[unit], fit.unit_scale[unit]

@@ -129,7 +129,8 @@ def test_first_line_summarises_the_result(
         "Scale factor error 3.12 % before, 0.0479 % after (95 %)."
     ) in words
     assert "rates from -57 to 72 deg/s" in words
-    total = ParameterUncertainty(1e-4, 1e-3, 1e-3, [0.99, 1.01], 2e-3, "1")
+    value = float(good_fit.scale[1])
+    total = ParameterUncertainty(1e-4, 1e-3, 1e-3, [value - 1e-3, value + 2e-3], 2e-3, "1")
     document = msgspec.structs.replace(
         made(good_fit, provenance),
         uncertainty=UncertaintyRecord(2.0, {"scale.y": total}, [], "0" * 64),

@@ -27,6 +27,7 @@ from gyrorig_solver.discover import CALIBRATION_PARAMETERS
 from gyrorig_solver.model.catalogue import catalogue
 from gyrorig_solver.report import ReportData, render_calibration
 from gyrorig_solver.uncertainty import UncertaintyBudget, default_settings
+from gyrorig_solver.uncertainty.mixture_interval import ErrorMixture
 from gyrorig_solver.uncertainty.uncertainty_budget import BudgetEntry
 
 UNKNOWN: list[list[float | None]] = [[None] * 3] * 3
@@ -96,6 +97,29 @@ def test_an_expected_error_that_is_not_corrected_adds_its_square() -> None:
     made = with_total_uncertainty(document(), budget(3e-4, error=-4e-4))
     assert made.uncertainty is not None
     assert made.uncertainty.parameters["misalignment.y"].type_b == pytest.approx(5e-4)
+
+
+def test_an_expected_error_shifts_the_interval() -> None:
+    """A value that is probably 0.4 mrad too small: the interval lies above it."""
+    made = with_total_uncertainty(document(), budget(3e-4, error=-4e-4))
+    assert made.uncertainty is not None
+    half = 2.0 * math.sqrt(10.0) * 1e-4
+    y = made.uncertainty.parameters["misalignment.y"]
+    assert y.interval == pytest.approx([4e-4 - half, 4e-4 + half])
+
+
+def test_the_interval_of_a_rare_cause_is_narrower_than_two_totals() -> None:
+    y = CALIBRATION_PARAMETERS.index("misalignment.y")
+    variance = np.zeros((2, SIZE))
+    variance[1, y] = 0.01**2
+    rare = ErrorMixture(np.array([0.98, 0.02]), np.zeros((2, SIZE)), variance)
+    made = with_total_uncertainty(document(), replace(budget(math.sqrt(0.02) * 0.01), mixture=rare))
+    assert made.uncertainty is not None
+    assert made.uncertainty.coverage_probability == pytest.approx(0.9545, abs=1e-4)
+    entry = made.uncertainty.parameters["misalignment.y"]
+    assert entry.total == pytest.approx(1.4e-3, rel=0.02)
+    assert 2e-4 < entry.interval[1] < 4e-4
+    assert entry.interval[0] == pytest.approx(-entry.interval[1])
 
 
 def test_the_budget_names_cause_share_and_motion() -> None:

@@ -4,6 +4,7 @@ import json
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,16 +17,22 @@ from gyrorig_solver.discover import CALIBRATION_PARAMETERS
 from gyrorig_solver.discover.calibration_changes import CalibrationValues
 from gyrorig_solver.estimate import ConvergedFit, NuisanceProjector
 from gyrorig_solver.model import factorise
+from gyrorig_solver.numerics import normal_upper_tail
 from gyrorig_solver.pipeline.board_data import load_board
 from gyrorig_solver.pipeline.prepare_board import fit_base
 from gyrorig_solver.uncertainty import (
     UncertaintyBudget,
     UncertaintySettings,
+    UnitPosterior,
     assess_uncertainty,
     default_settings,
     uncertainty_budget,
 )
-from gyrorig_solver.uncertainty.prior_effects import unidentified_causes, whitened_effects
+from gyrorig_solver.uncertainty.prior_effects import (
+    UnidentifiedCause,
+    unidentified_causes,
+    whitened_effects,
+)
 from gyrorig_solver.uncertainty.uncertainty_settings import PriorSize
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -167,6 +174,9 @@ def test_fitted_sizes_take_no_part(leaning: Session) -> None:
 
     (left,) = unidentified_causes(projector, (Fitted(),), only(backlash=1e-3))  # type: ignore[arg-type]
     assert set(left.places) == {"tilt"}
+    assert left.is_present  # a unit with backlash of pan has the cause
+    (unfitted,) = unidentified_causes(projector, (), only(backlash=1e-3))
+    assert not unfitted.is_present
 
 
 def test_a_board_at_rest_has_a_budget_of_its_bias(resting: Session) -> None:
@@ -184,3 +194,64 @@ def test_a_recording_at_rest_takes_no_templates_from_the_others(
     together = assess_uncertainty(fit_base(data)).std
     alone = assess_uncertainty(leaning.fit).std
     assert together[Y] == pytest.approx(alone[Y], rel=0.5)
+
+
+NOISE = np.full(len(CALIBRATION_PARAMETERS), 1e-4)
+KNOWN_CAUSES = {"axis_nonorthogonality": 0.003, "g_sensitivity": 2e-4, "tilt_zero": 0.004}
+
+
+def with_probability(cause: str, probability: float) -> UncertaintySettings:
+    """Return settings of a few causes, of which one may be absent."""
+    settings = only(**KNOWN_CAUSES)
+    priors = {**settings.prior_sizes, cause: PriorSize(KNOWN_CAUSES[cause], probability)}
+    return replace(settings, prior_sizes=MappingProxyType(priors))
+
+
+@pytest.mark.parametrize("is_unit_known", [False, True])
+def test_the_interval_of_certain_causes_is_that_of_a_normal_distribution(
+    leaning: Session, is_unit_known: bool
+) -> None:
+    settings = only(**KNOWN_CAUSES)
+    unit = UnitPosterior.from_table(settings) if is_unit_known else None
+    made = assess_uncertainty(leaning.fit, settings, unit_prior=unit)
+    std = np.sqrt(np.diag(made.covariance) + NOISE**2)
+    interval = made.error_interval(NOISE, 1.0 - 2.0 * normal_upper_tail(2.0))
+    assert interval[:, 0] == pytest.approx(made.expected_error - 2.0 * std, rel=1e-6, abs=1e-12)
+    assert interval[:, 1] == pytest.approx(made.expected_error + 2.0 * std, rel=1e-6, abs=1e-12)
+
+
+@pytest.mark.parametrize("is_unit_known", [False, True])
+def test_the_interval_without_an_improbable_cause_is_that_of_the_others(
+    leaning: Session, is_unit_known: bool
+) -> None:
+    improbable = with_probability("g_sensitivity", 1e-12)
+    without = only(**{**KNOWN_CAUSES, "g_sensitivity": 0.0})
+    intervals = []
+    for settings in (improbable, without):
+        unit = UnitPosterior.from_table(settings) if is_unit_known else None
+        made = assess_uncertainty(leaning.fit, settings, unit_prior=unit)
+        intervals.append(made.error_interval(NOISE, 0.95))
+    assert intervals[0] == pytest.approx(intervals[1], rel=1e-4, abs=1e-9)
+
+
+def test_a_rare_cause_that_no_motion_shows_hardly_widens_the_interval(leaning: Session) -> None:
+    """One rig in fifty has a wrong tilt zero: 95 % of the errors are much smaller than 2 u."""
+    x = CALIBRATION_PARAMETERS.index("misalignment.x")
+    made = assess_uncertainty(leaning.fit, with_probability("tilt_zero", 0.02))
+    low, high = made.error_interval(NOISE, 0.95)[x]
+    assert high - low < 0.5 * 3.92 * np.hypot(made.std[x], NOISE[x])
+
+
+def test_the_other_sizes_of_a_fitted_cause_are_certain(
+    leaning: Session, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The interval is that of a cause with probability one, whatever its prior probability."""
+
+    def present_causes(*words: Any) -> list[UnidentifiedCause]:
+        return [replace(cause, is_present=True) for cause in unidentified_causes(*words)]
+
+    certain = assess_uncertainty(leaning.fit, only(**KNOWN_CAUSES)).error_interval(NOISE, 0.95)
+    monkeypatch.setattr(uncertainty_budget, "unidentified_causes", present_causes)
+    rare = with_probability("tilt_zero", 0.02)
+    present = assess_uncertainty(leaning.fit, rare).error_interval(NOISE, 0.95)
+    assert present == pytest.approx(certain, rel=1e-6, abs=1e-12)
