@@ -17,7 +17,7 @@ from tests.unit.fleet.conftest import row
 from gyrorig_protocol.identity import BoardId
 from gyrorig_protocol.recording.messages import SESSION_EVENT_TOPIC, EventKind, SessionEvent
 from gyrorig_protocol.recording.writer import RecordingWriter
-from gyrorig_solver.calibration.calibration_store import create_sharded_store
+from gyrorig_solver.calibration import create_store
 from gyrorig_solver.fleet.drift import PARAMETER_COLUMNS
 from gyrorig_solver.fleet.jobs import SolveSettings
 from gyrorig_solver.fleet.jobs.batch_run import RECORDING_CACHE_FILE
@@ -34,7 +34,7 @@ def fill(folder: Path, boards: int, document: str, report: bytes) -> tuple[Path,
     """Make a spool and a store of so many boards, each with one recording that is done."""
     spool, store = folder / "spool", folder / "store"
     spool.mkdir(parents=True)
-    made = create_sharded_store(store)
+    made = create_store(store)
     head = one_head(folder)
     page = folder / "report.html"
     page.write_bytes(report)

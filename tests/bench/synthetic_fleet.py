@@ -12,7 +12,7 @@ import duckdb
 import numpy as np
 from tests.bench.fleet.parts import ERROR, SCATTER, SPREAD
 
-from gyrorig_solver.calibration.calibration_store import create_sharded_store
+from gyrorig_solver.calibration import create_store
 from gyrorig_solver.fleet.drift import PARAMETER_COLUMNS
 from gyrorig_solver.fleet.store.index_rows import sql_columns
 
@@ -88,7 +88,7 @@ def skew_of(plan: FleetPlan) -> np.ndarray:
 
 def write_fleet(store: Path, plan: FleetPlan) -> Path:
     """Write a store's index and a table of its boards' lots and sites; return the table."""
-    create_sharded_store(store)
+    create_store(store)
     (store / "index").mkdir(exist_ok=True)
     rng = np.random.default_rng(plan.seed)
     measured, temperature = rooms_of(plan, rng)

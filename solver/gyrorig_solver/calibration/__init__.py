@@ -21,6 +21,7 @@ from gyrorig_solver.calibration.calibration_store import (
     VERSION_FILE,
     CalibrationStore,
     StoredVersion,
+    create_store,
 )
 from gyrorig_solver.calibration.sensor_profiles import find_profile
 
@@ -33,6 +34,7 @@ __all__ = [
     "StoredVersion",
     "UnitPriorRecord",
     "calibration_as_mapping",
+    "create_store",
     "find_profile",
     "parse_calibration",
 ]

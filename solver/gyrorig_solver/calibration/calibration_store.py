@@ -1,4 +1,4 @@
-"""Store of calibrations: one folder per board, one immutable file per version.
+"""Store of calibrations: one folder per board, one immutable file per version, also in a bucket.
 
     STORE/<board>/v0001.yaml  v0001.report.html  v0002.yaml ...
 
@@ -7,10 +7,11 @@ because a folder of a million entries is slow:
 
     STORE/calib/<h2>/<h2>/<board>/v0001.yaml ...    h2: digits of the SHA-256 of the board's name
 
-What to use when: `CalibrationStore.add_version` to write the next version, `latest` to read one.
+What to use when: `CalibrationStore.add_version` to write the next version, `latest` to read one,
+`create_store` at the start of a batch.
 Each version contains the digest of the previous one, therefore a changed or missing version is
-detected. Two solvers can write at the same time: a version's name is taken by a hard link, which
-never replaces a file.
+detected. Two solvers can write at the same time: a version's name is taken by a write that never
+replaces a file. If another solver was first, the next number is tried.
 """
 
 import hashlib
@@ -18,12 +19,12 @@ import os
 import re
 from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 
 from gyrorig_protocol.documents import parse_yaml
 from gyrorig_protocol.errors import BusyError, InputError, MachineError, UsageError
 from gyrorig_protocol.identity import BoardId
-from gyrorig_solver.storage import write_file
+from gyrorig_solver.storage import Folder, Storage, storage_at
 
 STORE_FILE = "gyrorig-store.yaml"
 STORE_SCHEMA = "gyrorig/store/1"
@@ -37,12 +38,17 @@ class StoredVersion:
     """One version in the store."""
 
     number: int
-    path: Path
-    read: Callable[[Path], bytes] = Path.read_bytes
+    name: str  # in the store
+    storage: Storage
+
+    @property
+    def path(self) -> Path:
+        """The path of its file; in a bucket the name of the object."""
+        return _path_in(self.storage, self.name)
 
     def data(self) -> bytes:
         """Return the file's bytes."""
-        return self.read(self.path)
+        return _read_existing(self.storage, self.name)
 
     def digest(self) -> str:
         """Return `sha256:` and the digest of the file's bytes."""
@@ -50,30 +56,32 @@ class StoredVersion:
 
 
 class CalibrationStore:
-    """The versions of all boards in one folder."""
+    """The versions of all boards in one folder, or below one prefix of a bucket."""
 
-    def __init__(self, folder: Path) -> None:
-        """Open the store in `folder`, which need not exist yet.
+    def __init__(self, location: Path | Storage) -> None:
+        """Open the store, which need not exist yet.
 
         Raises:
             InputError: its `gyrorig-store.yaml` has another schema.
+            MachineError: the folder cannot be read, or the bucket does not answer.
         """
-        self.folder = folder
-        self.sharded = _is_sharded(folder)
+        self.storage = storage_at(location)
+        marker = self.storage.read(STORE_FILE)
+        if marker is not None:
+            _check_marker(marker, f"{self.storage.location}/{STORE_FILE}")
+        self.sharded = marker is not None or not isinstance(self.storage, Folder)
 
     def folder_of(self, board: BoardId) -> Path:
-        """Return the folder of the versions of `board`."""
-        return self.folder / (sharded_folder_name(board) if self.sharded else board)
+        """Return the folder of the versions of `board`; in a bucket the prefix of their names."""
+        return _path_in(self.storage, self._folder_name(board))
 
     def versions(self, board: BoardId) -> list[StoredVersion]:
         """Return the versions of `board`, oldest first."""
-        folder = self.folder_of(board)
-        if not folder.is_dir():
-            return []
+        folder = f"{self._folder_name(board)}/"
         stored_versions = (
-            StoredVersion(int(match[1]), path)
-            for path in folder.iterdir()
-            if (match := VERSION_FILE.fullmatch(path.name))
+            StoredVersion(int(match[1]), entry.name, self.storage)
+            for entry in self.storage.list_files(folder)
+            if (match := VERSION_FILE.fullmatch(entry.name.removeprefix(folder)))
         )
         return sorted(stored_versions, key=lambda version: version.number)
 
@@ -89,6 +97,8 @@ class CalibrationStore:
             MachineError: the folder cannot be created or written.
         """
         folder = self.folder_of(board)
+        if not isinstance(self.storage, Folder):
+            return folder
         try:
             folder.mkdir(parents=True, exist_ok=True)
         except OSError as fault:
@@ -105,12 +115,7 @@ class CalibrationStore:
 
     def version_named(self, name: str) -> StoredVersion:
         """Return the version of that name in the store."""
-        path = self.folder / name
-        return StoredVersion(int(path.stem[1:]), path)
-
-    def name_of(self, version: StoredVersion) -> str:
-        """Return the path of a version in the store."""
-        return str(version.path.relative_to(self.folder))
+        return StoredVersion(int(PurePosixPath(name).stem[1:]), name, self.storage)
 
     def companion_digests(self, version: StoredVersion) -> list[str]:
         """Return `<sha256>  <name>` of each file that belongs to a version, as sha256sum does.
@@ -118,15 +123,14 @@ class CalibrationStore:
         Raises:
             MachineError: one of them cannot be read.
         """
-        prefix = f"{version.path.stem}."
+        prefix = version.name.removesuffix("yaml")  # v0001.
+        folder = prefix.rpartition("/")[0]
         return [
-            f"{hashlib.sha256(version.read(path)).hexdigest()}  {path.name}"
-            for path in sorted(self._folder_files(version))
-            if path.name.startswith(prefix) and path != version.path
+            f"{hashlib.sha256(_read_existing(self.storage, name)).hexdigest()}  "
+            f"{name.removeprefix(folder + '/')}"
+            for name in sorted(entry.name for entry in self.storage.list_files(f"{folder}/"))
+            if name.startswith(prefix) and name != version.name
         ]
-
-    def _folder_files(self, version: StoredVersion) -> list[Path]:
-        return list(version.path.parent.iterdir())
 
     def write_companion(self, version: StoredVersion, suffix: str, data: bytes) -> Path:
         """Write a file that belongs to a version, such as `v0001.report.html`; return its path.
@@ -134,9 +138,9 @@ class CalibrationStore:
         Raises:
             MachineError: it cannot be written.
         """
-        path = version.path.with_suffix(suffix)
-        write_file(path, data, replace=True)
-        return path
+        name = version.name.removesuffix(".yaml") + suffix
+        self.storage.write(name, data)
+        return _path_in(self.storage, name)
 
     def add_version(
         self,
@@ -152,9 +156,6 @@ class CalibrationStore:
                 previous version; called again when another solver took the number.
             check_before: called before each attempt; an exception stops the write.
 
-        Returns:
-            The version on disk, synced.
-
         Raises:
             MachineError: it cannot be written.
             BusyError: other solvers took a hundred numbers in succession.
@@ -165,73 +166,61 @@ class CalibrationStore:
             last = self.latest(board)
             number = last.number + 1 if last else 1
             text = make_text(number, last.digest() if last else None)
-            final = folder / f"v{number:04d}.yaml"
-            if write_file(final, text.encode(), replace=False):
-                return StoredVersion(number, final)
+            name = f"{self._folder_name(board)}/v{number:04d}.yaml"
+            if self.storage.write_new(name, text.encode()):
+                return StoredVersion(number, name, self.storage)
         raise BusyError(
             f"the calibration was not added to {folder}: at each of {MAX_ATTEMPTS} attempts, "
             "another solver had just added one",
             "run the command again later",
         )
 
+    def _folder_name(self, board: BoardId) -> str:
+        if not self.sharded:
+            return str(board)
+        digest = hashlib.sha256(board.encode()).hexdigest()
+        return f"calib/{digest[:2]}/{digest[2:4]}/{board}"
 
-def sharded_folder_name(board: BoardId) -> str:
-    """Return the folder of a board in a fleet's store."""
-    digest = hashlib.sha256(board.encode()).hexdigest()
-    return f"calib/{digest[:2]}/{digest[2:4]}/{board}"
 
-
-def create_sharded_store(folder: Path) -> CalibrationStore:
-    """Return the fleet's store in `folder`; create it if the folder is empty or missing.
+def create_store(location: Path | Storage) -> CalibrationStore:
+    """Return the store of a fleet; it is created if the location is empty.
 
     Raises:
         InputError: it has another schema.
-        UsageError: it contains other files.
-        MachineError: it cannot be created.
+        UsageError: the location contains other files.
+        MachineError: the store cannot be created.
     """
-    marker = folder / STORE_FILE
-    if not marker.exists():
-        temporary_prefix = f".{STORE_FILE}."  # of another process that writes now, see write_file
-        try:
-            folder.mkdir(parents=True, exist_ok=True)
-            others = [p.name for p in folder.iterdir() if not p.name.startswith(temporary_prefix)]
-        except OSError as fault:
-            raise MachineError(
-                f"the calibration store {folder} cannot be created ({fault.strerror})",
-                "choose another folder with --store",
-            ) from fault
-        # Check again: another process writes the marker before any other file.
-        if others and not marker.exists():
+    storage = storage_at(location)
+    if storage.read(STORE_FILE) is None:
+        temporary_prefix = f".{STORE_FILE}."  # of another process that writes now
+        others = (entry.name for entry in storage.list_files())
+        other = next((name for name in others if not name.startswith(temporary_prefix)), None)
+        # Read again: another process writes the marker before any other file.
+        if other is not None and storage.read(STORE_FILE) is None:
             raise UsageError(
-                f"the folder {folder} is neither empty nor a calibration store: it contains "
-                f"{sorted(others)[0]}, but no file {STORE_FILE}",
-                "choose an empty or a new folder with --store",
+                f"the location {storage.location} is neither empty nor a calibration store: it "
+                f"contains {other}, but no file {STORE_FILE}",
+                "choose an empty or a new location with --store",
             )
-        write_file(marker, STORE_MARKER, replace=False)
-    return CalibrationStore(folder)
+        storage.write_new(STORE_FILE, STORE_MARKER)
+    return CalibrationStore(storage)
 
 
-def _is_sharded(folder: Path) -> bool:
-    """Return whether `folder` is marked as a fleet's store.
+def _path_in(storage: Storage, name: str) -> Path:
+    return storage.path / name if isinstance(storage, Folder) else Path(name)
 
-    Raises:
-        InputError: the marker has another schema.
-    """
-    marker = folder / STORE_FILE
-    try:
-        text = marker.read_bytes()
-    except (FileNotFoundError, NotADirectoryError):
-        return False
-    except OSError as fault:
+
+def _read_existing(storage: Storage, name: str) -> bytes:
+    data = storage.read(name)
+    if data is None:
         raise MachineError(
-            f"the file {marker} of the calibration store cannot be read ({fault.strerror})",
-            "correct the permissions of the file",
-        ) from fault
-    check_store_marker(text, str(marker))
-    return True
+            f"the file {storage.location}/{name} of the store no longer exists",
+            f"check the store with `gyrorig store verify {storage.location}`",
+        )
+    return data
 
 
-def check_store_marker(text: bytes, name: str) -> None:
+def _check_marker(text: bytes, name: str) -> None:
     """Check the schema of a `gyrorig-store.yaml`.
 
     Raises:

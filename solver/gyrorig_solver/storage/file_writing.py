@@ -7,13 +7,8 @@ from gyrorig_protocol.atomic_files import write_atomically
 from gyrorig_protocol.errors import MachineError
 
 
-def write_file(path: Path, data: bytes, *, replace: bool) -> bool:
+def write_file(path: Path, data: bytes, *, replace: bool, make_folder: bool = False) -> bool:
     """Write a file atomically and synced: whole, or not at all.
-
-    Args:
-        path: the name to take.
-        data: the whole content.
-        replace: whether an existing file may be replaced.
 
     Returns:
         False if the name is taken and must not be replaced; nothing was changed.
@@ -22,6 +17,8 @@ def write_file(path: Path, data: bytes, *, replace: bool) -> bool:
         MachineError: the file system refuses; nothing was changed.
     """
     try:
+        if make_folder:
+            path.parent.mkdir(parents=True, exist_ok=True)
         return write_atomically(path, data, replace=replace)
     except OSError as fault:
         raise MachineError(

@@ -1,14 +1,13 @@
 """A folder of this machine, or one that several machines mount, as a storage."""
 
 import contextlib
-import errno
 import os
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from gyrorig_protocol.atomic_files import write_atomically
 from gyrorig_protocol.errors import InputError, MachineError
+from gyrorig_solver.storage.file_writing import write_file
 from gyrorig_solver.storage.storage_protocol import StorageEntry
 
 
@@ -37,21 +36,11 @@ class Folder:
 
     def write(self, name: str, data: bytes) -> None:
         """See `Storage`."""
-        self._write(name, data, replace=True)
+        write_file(self.path / name, data, replace=True, make_folder=True)
 
     def write_new(self, name: str, data: bytes) -> bool:
         """See `Storage`."""
-        return self._write(name, data, replace=False)
-
-    def _write(self, name: str, data: bytes, *, replace: bool) -> bool:
-        path = self.path / name
-        try:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            return write_atomically(path, data, replace=replace)
-        except OSError as fault:
-            raise MachineError(
-                f"the file {path} cannot be written ({fault.strerror})", _remedy(fault)
-            ) from fault
+        return write_file(self.path / name, data, replace=False, make_folder=True)
 
     def remove(self, names: Iterable[str]) -> None:
         """See `Storage`."""
@@ -89,11 +78,3 @@ class Folder:
                 "run the command again",
             )
         yield path
-
-
-def _remedy(fault: OSError) -> str:
-    if fault.errno in (errno.EPERM, errno.EOPNOTSUPP):
-        return "choose a folder on a file system with hard links, such as ext4"
-    if fault.errno in (errno.ENOSPC, errno.EDQUOT):
-        return "free some disk space, then run the command again"
-    return "check the permissions of the folder, or choose another folder"

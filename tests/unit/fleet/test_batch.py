@@ -18,8 +18,7 @@ from tests.unit.fleet.test_spool_scanner import write
 
 from gyrorig_protocol.errors import InputError, MachineError, UsageError
 from gyrorig_protocol.identity import BoardId
-from gyrorig_solver.calibration import STORE_FILE
-from gyrorig_solver.calibration.calibration_store import create_sharded_store
+from gyrorig_solver.calibration import STORE_FILE, create_store
 from gyrorig_solver.fleet.jobs import SolveSettings, local_pools, resource_limits, run_batch
 from gyrorig_solver.fleet.jobs.batch_run import Shard
 from gyrorig_solver.fleet.jobs.session_job import Job, JobResult, failure_row, run_job
@@ -64,7 +63,7 @@ def test_every_recording_ends_with_one_status(spool: Path, tmp_path: Path) -> No
     )
     assert Counter(status for status, *_ in rows_in_index) == Counter(ok=2, rejected=3)
     assert all(reason for status, reason, *_ in rows_in_index if status == "rejected")
-    assert [path.name for path in create_sharded_store(store).folder_of(BOARD).glob("*.yaml")]
+    assert [path.name for path in create_store(store).folder_of(BOARD).glob("*.yaml")]
     assert verify(store).faults == ()
 
     second = night(spool, store)
@@ -72,7 +71,7 @@ def test_every_recording_ends_with_one_status(spool: Path, tmp_path: Path) -> No
     assert not second.is_partial
     again = night(spool, store, retry=["rejected"])
     assert again.sessions_by_status == Counter(rejected=3)
-    assert len(create_sharded_store(store).versions(BOARD)) == 2
+    assert len(create_store(store).versions(BOARD)) == 2
     assert len(StoreIndex(store).query("SELECT * FROM rows WHERE status = 'ok'")) == 2
 
 
@@ -86,7 +85,7 @@ def test_shards_share_the_work(spool: Path, tmp_path: Path) -> None:
 
 def test_claims_of_a_running_batch_are_kept(spool: Path, tmp_path: Path) -> None:
     store = tmp_path / "store"
-    create_sharded_store(store)
+    create_store(store)
     other = FolderClaims(store, "rival")
     with other.begin_batch(StoreIndex(store)):
         keys = [path.name for path in (store / "claims").glob("??/*")]
@@ -111,7 +110,7 @@ def test_a_version_without_its_row_is_found_again(spool: Path, tmp_path: Path) -
     shutil.rmtree(store / "journal")
     again = night(spool, store)
     assert again.sessions_by_status == Counter(ok=2, rejected=3)
-    assert len(create_sharded_store(store).versions(BOARD)) == 2
+    assert len(create_store(store).versions(BOARD)) == 2
     assert verify(store).faults == ()
 
 
@@ -120,7 +119,7 @@ def test_two_boards_with_one_name_are_not_mixed(
 ) -> None:
     store = tmp_path / "store"
     night(spool, store)
-    (path,) = [v.path for v in create_sharded_store(store).versions(BOARD)][-1:]
+    (path,) = [v.path for v in create_store(store).versions(BOARD)][-1:]
     text = path.read_text(encoding="utf-8")
     uid = json.loads(text.split("uid: ")[1].splitlines()[0])
     path.write_text(text.replace(uid, "another"), encoding="utf-8")
@@ -140,7 +139,7 @@ def test_a_deadline_fails_the_work_and_keeps_the_trace(
 ) -> None:
     # The hard deadline ends the process. A busy machine could be that late.
     monkeypatch.setattr(resource_limits, "HARD_DEADLINE_FACTOR", 1e4)
-    create_sharded_store(tmp_path / "store")
+    create_store(tmp_path / "store")
     from gyrorig_protocol.recording.reader import read_recording  # noqa: PLC0415
 
     digests = (read_recording(recorded[0]).sha256,)
@@ -157,7 +156,7 @@ def test_a_deadline_fails_the_work_and_keeps_the_trace(
 
 
 def test_a_board_without_a_calibration_has_a_row(tmp_path: Path) -> None:
-    create_sharded_store(tmp_path)
+    create_store(tmp_path)
     index = StoreIndex(tmp_path)
     with FolderClaims(tmp_path, "night").begin_batch(index) as journal:
         journal.add(
@@ -224,13 +223,13 @@ def test_a_store_that_refuses_everything_ends_the_batch_early(tmp_path: Path) ->
 def test_a_folder_with_other_files_is_not_a_store(tmp_path: Path) -> None:
     (tmp_path / "thesis.tex").write_text("x", encoding="utf-8")
     with pytest.raises(UsageError, match=r"contains thesis\.tex"):
-        create_sharded_store(tmp_path)
+        create_store(tmp_path)
 
 
 def test_a_newer_store_is_refused(tmp_path: Path) -> None:
     (tmp_path / STORE_FILE).write_text('schema: "gyrorig/store/9"\n', encoding="utf-8")
     with pytest.raises(InputError, match="gyrorig/store/9"):
-        create_sharded_store(tmp_path)
+        create_store(tmp_path)
 
 
 def test_a_batch_killed_repeatedly_loses_and_repeats_nothing(
@@ -260,7 +259,7 @@ def test_a_batch_killed_repeatedly_loses_and_repeats_nothing(
     assert process.returncode == 5, process.stderr
     rows_in_index = StoreIndex(store).query("SELECT status FROM rows")
     assert Counter(status for (status,) in rows_in_index) == Counter(ok=2, rejected=6)
-    assert len(create_sharded_store(store).versions(BOARD)) == 2
+    assert len(create_store(store).versions(BOARD)) == 2
     assert verify(store).faults == ()
     assert not list((store / "journal").iterdir())
 
@@ -288,5 +287,5 @@ def test_two_parallel_batches_do_every_job_once(spool: Path, tmp_path: Path) -> 
         assert out, err
         ended += Counter(json.loads(out)["ended"])
     assert ended == Counter(ok=2, rejected=3)
-    assert len(create_sharded_store(store).versions(BOARD)) == 2
+    assert len(create_store(store).versions(BOARD)) == 2
     assert verify(store).faults == ()

@@ -13,8 +13,7 @@ from tests.unit.recording.test_damage import chunk, file_of
 
 from gyrorig_protocol.identity import BoardId
 from gyrorig_protocol.recording.reader import read_recording
-from gyrorig_solver.calibration import STORE_FILE
-from gyrorig_solver.calibration.calibration_store import create_sharded_store
+from gyrorig_solver.calibration import STORE_FILE, create_store
 from gyrorig_solver.cli import run
 from gyrorig_solver.estimate import Convergence, motion_fit
 from gyrorig_solver.estimate.trust_region import NotConvergedError
@@ -99,7 +98,7 @@ def test_two_boards_with_one_name_in_parallel_do_not_share_a_chain(
     summary = night(folder)
     assert summary.sessions_by_status == Counter(ok=1, rejected=1)
     assert any("two boards have the same name" in item for item in reasons_by_name(folder).values())
-    assert len(create_sharded_store(folder / "store").versions(BOARD)) == 1
+    assert len(create_store(folder / "store").versions(BOARD)) == 1
     assert verify(folder / "store").faults == ()
 
 
@@ -108,7 +107,7 @@ def test_a_temporarily_full_disk_loses_no_job(
 ) -> None:
     for number, path in enumerate(recorded):
         shutil.copy(path, folder / "spool" / f"{number}.mcap")
-    create_sharded_store(folder / "store")
+    create_store(folder / "store")
     link, full = os.link, True
 
     def refused(*arguments: object) -> None:
@@ -124,7 +123,7 @@ def test_a_temporarily_full_disk_loses_no_job(
     full = False
     second = night(folder)
     assert (second.sessions_by_status, second.deferred) == (Counter(ok=2), 0)
-    assert len(create_sharded_store(folder / "store").versions(BOARD)) == 2
+    assert len(create_store(folder / "store").versions(BOARD)) == 2
     assert verify(folder / "store").faults == ()
 
 
@@ -132,7 +131,7 @@ def test_a_brief_refusal_is_retried_in_the_same_batch(
     folder: Path, recorded: list[Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     shutil.copy(recorded[0], folder / "spool")
-    create_sharded_store(folder / "store")
+    create_store(folder / "store")
     link, left = os.link, 1
 
     def refused(*arguments: object) -> None:
@@ -172,7 +171,7 @@ def test_a_version_of_a_newer_program_does_not_stop_other_boards(
 ) -> None:
     shutil.copy(recorded[0], folder / "spool" / "a.mcap")
     night(folder)
-    (version,) = create_sharded_store(folder / "store").versions(BOARD)
+    (version,) = create_store(folder / "store").versions(BOARD)
     text = version.path.read_text(encoding="utf-8")
     schema = text.split('schema: "')[1].split('"')[0]
     version.path.write_text(text.replace(schema, f"{schema}9"), encoding="utf-8")

@@ -11,13 +11,12 @@ from tests.unit.fleet.conftest import row
 
 from gyrorig_protocol.errors import InputError, MachineError, UsageError
 from gyrorig_protocol.identity import BoardId
-from gyrorig_solver.calibration import STORE_FILE
+from gyrorig_solver.calibration import STORE_FILE, CalibrationStore, create_store
 from gyrorig_solver.fleet.jobs import BatchSummary, SolveSettings, run_batch
 from gyrorig_solver.fleet.jobs.workers import WorkerPool
 from gyrorig_solver.fleet.store import bucket_coordination, rebuild_index, verify
 from gyrorig_solver.fleet.store.bucket_coordination import BucketClaims, BucketJournal
 from gyrorig_solver.fleet.store.bucket_index import BucketIndex
-from gyrorig_solver.fleet.store.bucket_store import create_store, open_calibration_store
 from gyrorig_solver.fleet.store.store_queries import VersionFilter, all_versions, newest_versions
 from gyrorig_solver.storage import Folder, Storage, storage_at
 from gyrorig_solver.storage.bucket import Bucket
@@ -53,7 +52,7 @@ def test_a_batch_from_a_bucket_into_a_bucket(bucket: Bucket, recorded: list[Path
     first = night(spool, store)
     assert (first.sessions_by_status, first.deferral_reason) == (Counter(ok=2, rejected=1), "")
     assert first.spool.unfinished == 1
-    assert len(open_calibration_store(store).versions(BOARD)) == 2
+    assert len(CalibrationStore(store).versions(BOARD)) == 2
     result = verify(store)
     assert (result.faults, result.manifest_files) == ((), 4)
     # Two workers: which of the two nights got the second version is chance; the later is newest.
@@ -180,7 +179,7 @@ def test_a_job_repeated_by_a_waking_batch_has_one_version(
             item.result() for item in [processes.submit(night, spool, bucket) for _ in range(2)]
         ]
     assert sum(item.sessions_by_status["ok"] for item in reported) >= 1
-    assert len(open_calibration_store(bucket).versions(BOARD)) == 1
+    assert len(CalibrationStore(bucket).versions(BOARD)) == 1
     assert verify(bucket).versions == 1
 
 

@@ -9,7 +9,7 @@ import pytest
 from tests.unit.fleet.conftest import row
 from tests.unit.fleet.test_fleet_overview import script
 
-from gyrorig_solver.calibration.calibration_store import create_sharded_store
+from gyrorig_solver.calibration.calibration_store import create_store
 from gyrorig_solver.cli import run
 from gyrorig_solver.fleet.store import StoreIndex
 from gyrorig_solver.fleet.store.folder_journal import FolderJournal
@@ -25,7 +25,7 @@ VALUES = {
 @pytest.fixture
 def fleet_json(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> dict[str, Any]:
     """Two lots of different mean, and one of too few boards, as `gyrorig fleet --json` has them."""
-    create_sharded_store(tmp_path / "store")
+    create_store(tmp_path / "store")
     rows, lines = [], ["board,lot,site"]
     for lot, values in VALUES.items():
         for index, value in enumerate(values):

@@ -8,8 +8,7 @@ from tests.unit.fleet.test_batch import night
 from tests.unit.recorder.test_parts_in_motion import recorded
 
 from gyrorig_protocol.identity import BoardId
-from gyrorig_solver.calibration import parse_calibration
-from gyrorig_solver.calibration.calibration_store import create_sharded_store
+from gyrorig_solver.calibration import create_store, parse_calibration
 from gyrorig_solver.fleet.store import StoreIndex
 
 PROGRAMS = Path(__file__).resolve().parents[3] / "config" / "programs"
@@ -28,7 +27,7 @@ def test_a_later_part_makes_the_session_new(tmp_path: Path) -> None:
         assert (batch_result.done_before, batch_result.sessions_by_status) == (0, Counter(ok=1)), (
             batch_result.unsuccessful_rows
         )
-        versions = create_sharded_store(store).versions(BOARD)
+        versions = create_store(store).versions(BOARD)
         assert len(versions) == number
         made = parse_calibration(versions[-1].data(), "newest")
         assert {item.sha256 for item in made.inputs} == {item.sha256 for item in parts[:number]}
@@ -48,4 +47,4 @@ def test_parts_wait_for_an_unfinished_part(tmp_path: Path) -> None:
     assert night(spool, store).sessions == 0
     open_part.rename(spool / second.path.name)
     assert night(spool, store).sessions_by_status == Counter(ok=1)
-    assert len(create_sharded_store(store).versions(BOARD)) == 1
+    assert len(create_store(store).versions(BOARD)) == 1

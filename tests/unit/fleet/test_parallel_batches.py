@@ -11,8 +11,7 @@ import pytest
 from tests.unit.fleet.conftest import row
 
 from gyrorig_protocol.errors import BusyError, MachineError, UsageError
-from gyrorig_solver.calibration import STORE_FILE
-from gyrorig_solver.calibration.calibration_store import create_sharded_store
+from gyrorig_solver.calibration import STORE_FILE, create_store
 from gyrorig_solver.fleet.jobs import SolveSettings, local_pools, run_batch
 from gyrorig_solver.fleet.store import StoreIndex, rebuild_index
 from gyrorig_solver.fleet.store.folder_claims import FolderClaims
@@ -44,7 +43,7 @@ def together(count: int, work: Callable[[int], object]) -> None:
 
 def test_several_threads_can_create_one_store(tmp_path: Path) -> None:
     def make(folder: Path) -> None:
-        assert create_sharded_store(folder).sharded
+        assert create_store(folder).sharded
         (folder / "journal").mkdir(exist_ok=True)
 
     for turn in range(30):
@@ -53,11 +52,11 @@ def test_several_threads_can_create_one_store(tmp_path: Path) -> None:
 
 def test_an_interrupted_creation_of_a_store_is_completed(tmp_path: Path) -> None:
     (tmp_path / f".{STORE_FILE}.k1lled").touch()
-    assert create_sharded_store(tmp_path).sharded
+    assert create_store(tmp_path).sharded
     (tmp_path / "other").mkdir()
     (tmp_path / "other" / "notes.txt").touch()
     with pytest.raises(UsageError, match=r"contains notes\.txt"):
-        create_sharded_store(tmp_path / "other")
+        create_store(tmp_path / "other")
 
 
 def test_readers_see_every_row_while_journals_are_merged(tmp_path: Path) -> None:
@@ -104,7 +103,7 @@ def test_overlapping_batches_lose_no_row(tmp_path: Path) -> None:
 
 
 def test_rebuilding_the_index_during_batches_loses_no_row(tmp_path: Path) -> None:
-    create_sharded_store(tmp_path)
+    create_store(tmp_path)
     nights, turn = 10, Semaphore(0)  # a rebuilding a night: more would keep the nights waiting
 
     def write() -> None:

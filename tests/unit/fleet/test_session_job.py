@@ -14,7 +14,7 @@ import pytest
 from tests.unit.fleet.test_batch import make_job
 
 from gyrorig_protocol.identity import BoardId
-from gyrorig_solver.calibration.calibration_store import create_sharded_store
+from gyrorig_solver.calibration import create_store
 from gyrorig_solver.fleet.jobs import BatchSummary, SolveSettings, run_batch, session_job
 from gyrorig_solver.fleet.jobs.session_job import (
     Job,
@@ -65,7 +65,7 @@ def test_another_solver_or_configuration_repeats_the_work(
     ):
         repeated = night(tmp_path, other)
         assert (repeated.done_before, repeated.sessions_by_status) == (0, Counter(ok=1, rejected=1))
-        assert len(create_sharded_store(tmp_path / "store").versions(BOARD)) == number
+        assert len(create_store(tmp_path / "store").versions(BOARD)) == number
     assert night(tmp_path, first).done_before == 2  # what it did is still done
 
 
@@ -111,7 +111,7 @@ def test_a_failed_joint_fit_is_reported_and_boards_are_solved_singly(
     ((status, reason, trace),) = index.query("SELECT status, reason, trace FROM rows")
     assert (status, f"a.mcap: {reason}") == ("ok", failure)
     assert trace.rstrip().endswith("ZeroDivisionError: as asked")
-    assert len(create_sharded_store(tmp_path / "store").versions(BOARD)) == 1
+    assert len(create_store(tmp_path / "store").versions(BOARD)) == 1
 
 
 LIMITED = """

@@ -11,9 +11,13 @@ import yaml
 from tests.unit.fleet.conftest import row
 
 from gyrorig_protocol.identity import BoardId
-from gyrorig_solver.calibration import CalibrationDocument, CalibrationStore, parse_calibration
+from gyrorig_solver.calibration import (
+    CalibrationDocument,
+    CalibrationStore,
+    create_store,
+    parse_calibration,
+)
 from gyrorig_solver.calibration.calibration_document import calibration_as_yaml
-from gyrorig_solver.calibration.calibration_store import create_sharded_store
 from gyrorig_solver.cli import run
 from gyrorig_solver.fleet.drift import build_overview
 from gyrorig_solver.fleet.store import IndexRow, StoreIndex
@@ -42,23 +46,24 @@ def document(
 
 
 def add_version(store: CalibrationStore, calibration: CalibrationDocument, rig: str) -> IndexRow:
-    path = store.prepare_folder(BoardId(calibration.board.id)) / f"v{calibration.version:04d}.yaml"
-    path.write_text(calibration_as_yaml(calibration), encoding="utf-8")
+    stored = store.add_version(
+        BoardId(calibration.board.id), lambda _number, _before: calibration_as_yaml(calibration)
+    )
     return calibration_row(
         calibration,
         key=f"{calibration.board.id}-{calibration.version}",
         batch="night",
         session="s",
         rig=rig,
-        file=str(path.relative_to(store.folder)),
-        file_sha256=hashlib.sha256(path.read_bytes()).hexdigest(),
+        file=stored.name,
+        file_sha256=stored.digest().removeprefix("sha256:"),
     )
 
 
 @pytest.fixture
 def store(tmp_path: Path) -> Path:
     """Three boards; the third version of GY-1 is of a backlog, measured before its second."""
-    store_of_boards = create_sharded_store(tmp_path / "store")
+    store_of_boards = create_store(tmp_path / "store")
     rows = [
         add_version(store_of_boards, document("GY-1", 1, day=10, solved_day=10), "rig-a"),
         add_version(store_of_boards, document("GY-1", 2, day=13, solved_day=13), "rig-a"),

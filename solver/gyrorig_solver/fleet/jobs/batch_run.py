@@ -17,6 +17,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from gyrorig_protocol.errors import MachineError
+from gyrorig_solver.calibration import create_store
 from gyrorig_solver.fleet.jobs.recording_cache import RecordingCache
 from gyrorig_solver.fleet.jobs.session_job import Job, JobResult, SolveSettings
 from gyrorig_solver.fleet.jobs.spool_scanner import (
@@ -29,7 +30,6 @@ from gyrorig_solver.fleet.jobs.spool_scanner import (
 from gyrorig_solver.fleet.jobs.workers import DeferredJob, WorkerPool, run_all
 from gyrorig_solver.fleet.store import IndexRow, StoreIndex, job_key
 from gyrorig_solver.fleet.store.bucket_index import cache_folder
-from gyrorig_solver.fleet.store.bucket_store import create_store
 from gyrorig_solver.fleet.store.manifest import Signer, write_manifests
 from gyrorig_solver.fleet.store.store_backend import RowJournal, WorkClaims, open_index_and_claims
 from gyrorig_solver.storage import Folder, Storage, storage_at
@@ -127,15 +127,8 @@ def run_batch(
 ) -> BatchSummary:
     """Solve the new sessions of a spool.
 
-    Args:
-        spool: a folder or bucket of recordings, with its subfolders.
-        store: a calibration store; created if it does not exist.
-        settings: how to solve.
-        pools: where to.
-        shard: do only this part of the jobs.
-        retry: statuses whose jobs are repeated: failed, quarantined, rejected.
-        signer: signs the new manifests.
-        progress: called after each session.
+    The store is created if it does not exist. The jobs whose status is in `retry` are repeated.
+    `progress` is called after each session.
 
     Raises:
         UsageError: the spool does not exist, or the store's folder contains other files.

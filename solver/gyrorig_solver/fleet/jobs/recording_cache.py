@@ -9,7 +9,6 @@ import contextlib
 import sqlite3
 from collections.abc import Iterable, Iterator
 from pathlib import Path, PurePosixPath
-from types import TracebackType
 from typing import Self
 
 from gyrorig_solver.fleet.jobs.spool_scanner import SpooledRecording, SpoolListing
@@ -25,12 +24,7 @@ class RecordingCache:
     """The cache, in one SQLite file. Use it as a context manager."""
 
     def __init__(self, path: Path, spool: str) -> None:
-        """Open the cache.
-
-        Args:
-            path: of the file.
-            spool: the location of the spool.
-        """
+        """Open the cache."""
         self._spool = spool
         self._known: dict[str, tuple[int, str, str, str, str]] = {}
         self._new: list[tuple[str, int, str, str, str, str]] = []
@@ -45,12 +39,7 @@ class RecordingCache:
         """Return this object."""
         return self
 
-    def __exit__(
-        self,
-        exception_type: type[BaseException] | None,
-        exception: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_error: object) -> None:
         """Write the new entries."""
         self._save()
         if self._database is not None:

@@ -30,7 +30,6 @@ from gyrorig_solver.calibration.unit_document import UnitPosteriorDocument
 from gyrorig_solver.calibration.unit_store import UnitStore
 from gyrorig_solver.fleet.jobs.resource_limits import DeadlineExceededError, deadline, memory_limit
 from gyrorig_solver.fleet.store import IndexRow
-from gyrorig_solver.fleet.store.bucket_store import open_calibration_store
 from gyrorig_solver.fleet.store.index_rows import (
     MAX_TRACE_CHARS,
     WorkStatus,
@@ -188,7 +187,7 @@ def _solve_boards(job: Job) -> Iterator[IndexRow]:
             f"the recording {job.paths[0].name} contains no samples of a board",
             "check the recording with `gyrorig check`, connect the board, and record again",
         )
-    store = open_calibration_store(job.store)
+    store = CalibrationStore(job.store)
     fits: dict[str, CriticisedFit | GyrorigError] = {}
     failure: _JointFitFailedError | None = None
     try:
@@ -275,7 +274,7 @@ def _solve_board(
         batch=job.batch,
         session=metadata.get("session", ""),
         rig=metadata.get("rig", ""),
-        file=store.name_of(stored),
+        file=stored.name,
         file_sha256=stored.digest().removeprefix("sha256:"),
         companions=store.companion_digests(stored),
     )
@@ -308,12 +307,8 @@ def _check_newest_versions(
 ) -> None:
     """Check the board's latest versions, before the job and before each attempt to write.
 
-    Args:
-        job: the job.
-        store: of the versions.
-        holding: all recordings of the job that contain the board. A version of fewer of them
-            was made before the others existed, and is not this job's.
-        board: whose versions.
+    `holding` has all recordings of the job that contain the board. A version of fewer of them was
+    made before the others existed, and is not this job's.
 
     Raises:
         _AlreadyDoneError: one of them is this job's.

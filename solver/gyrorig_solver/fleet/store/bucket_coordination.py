@@ -25,7 +25,6 @@ import contextlib
 import threading
 from collections.abc import Sequence
 from pathlib import Path
-from types import TracebackType
 from typing import Self
 
 import msgspec
@@ -73,9 +72,7 @@ class Heartbeat:
 def live_batches(storage: Storage, probe_name: str) -> set[str]:
     """Return the batches whose heartbeat is recent.
 
-    Args:
-        storage: the store.
-        probe_name: an unused name; a heartbeat of that name is written to read the store's clock.
+    A heartbeat with the unused name `probe_name` is written to read the store's clock.
 
     Raises:
         MachineError: the bucket does not answer.
@@ -114,12 +111,7 @@ class BucketJournal:
         """Return this object."""
         return self
 
-    def __exit__(
-        self,
-        exception_type: type[BaseException] | None,
-        exception: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_error: object) -> None:
         """Stop the heartbeat; the next merge takes the rows."""
         self._heartbeat.stop()
 

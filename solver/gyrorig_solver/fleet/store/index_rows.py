@@ -13,19 +13,12 @@ from typing import Literal
 
 import msgspec
 
-from gyrorig_solver.calibration import CalibrationDocument, Parameter
+from gyrorig_solver.calibration import CalibrationDocument
+from gyrorig_solver.calibration.calibration_wording import value_std_pairs
+from gyrorig_solver.model.parameter_units import PARAMETER_GROUPS
 
 WorkStatus = Literal["ok", "rejected", "failed", "quarantined"]
 
-_AXES = ("x", "y", "z")
-# The names of an array's entries, as in the covariance of a calibration.
-PARAMETER_ENTRIES: dict[str, tuple[str, ...]] = {
-    "bias": _AXES,
-    "scale": _AXES,
-    "nonorthogonality": ("xy", "zx", "zy"),
-    "misalignment": _AXES,
-    "time_offset": (),
-}
 MAX_TRACE_CHARS = 8_000
 # The newest version of a board is that of its last recording. Version numbers follow the order of
 # solving, and a backlog can be solved after later nights.
@@ -79,11 +72,10 @@ def job_key(digests: Sequence[str], solver_version: str, config_sha256: str) -> 
 
 def parameter_columns() -> Iterator[str]:
     """Yield the columns of the parameters: each entry, then its standard deviation."""
-    for name, entries in PARAMETER_ENTRIES.items():
-        for entry in entries or ("",):
-            column = f"{name}_{entry}" if entry else name
-            yield column
-            yield f"{column}_std"
+    for group in PARAMETER_GROUPS:
+        for label in group.labels:
+            yield _column(group.name, label)
+            yield f"{_column(group.name, label)}_std"
 
 
 def sql_columns() -> dict[str, str]:
@@ -115,15 +107,18 @@ def row_columns(row: IndexRow) -> dict[str, object]:
 def parameter_values(calibration: CalibrationDocument) -> dict[str, float]:
     """Return the values and standard deviations of a calibration by column."""
     values: dict[str, float] = {}
-    for name, entries in PARAMETER_ENTRIES.items():
-        parameter = calibration.parameters.get(name)
-        if parameter is None:
-            continue
-        for column, value, std in _column_values(name, entries, parameter):
+    for group in PARAMETER_GROUPS:
+        parameter = calibration.parameters.get(group.name)
+        pairs = value_std_pairs(parameter) if parameter else []
+        for label, (value, std) in zip(group.labels, pairs, strict=bool(pairs)):
             if value is not None and std is not None:
-                values[column] = value
-                values[f"{column}_std"] = std
+                values[_column(group.name, label)] = value
+                values[f"{_column(group.name, label)}_std"] = std
     return values
+
+
+def _column(name: str, label: str) -> str:
+    return f"{name}_{label}" if label else name
 
 
 def calibration_row(
@@ -171,17 +166,6 @@ def calibration_row(
         gyro_scale_rad_s=calibration.board.config.gyro_scale_rad_s,
         parameters=parameter_values(calibration),
     )
-
-
-def _column_values(
-    name: str, entries: tuple[str, ...], parameter: Parameter
-) -> Iterator[tuple[str, float | None, float | None]]:
-    value, std = parameter.value, parameter.std
-    if isinstance(value, list) and isinstance(std, list):
-        columns = [f"{name}_{entry}" for entry in entries]
-        yield from zip(columns, value, std, strict=True)
-    elif not isinstance(value, list) and not isinstance(std, list):
-        yield name, value, std
 
 
 def midpoint(limits: list[float] | None) -> float | None:

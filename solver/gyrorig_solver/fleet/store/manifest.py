@@ -87,11 +87,7 @@ def read_public_key(path: Path) -> Ed25519PublicKey:
 
 
 def write_manifests(storage: Storage, signer: Signer | None) -> int:
-    """Write the missing manifests, and sign them; return their number.
-
-    Args:
-        storage: the store.
-        signer: signs the manifests that are written now, and none that exist already.
+    """Write the missing manifests, and sign only these; return their number.
 
     Raises:
         MachineError: the store does not answer, or refuses.
@@ -136,9 +132,7 @@ def manifest_name(index_file: str) -> str:
 def read_manifests(storage: Storage, key: Ed25519PublicKey | None) -> Iterator[Manifest]:
     """Yield the manifests of a store.
 
-    Args:
-        storage: the store.
-        key: whose signature they must have; None: signatures are not checked.
+    With a key, each manifest must have its signature.
 
     Raises:
         MachineError: the store does not answer.

@@ -83,20 +83,14 @@ class StoreIndex:
                 path.unlink(missing_ok=True)
 
     def finished_keys(self, retry: Sequence[str] = ()) -> set[str]:
-        """Return the keys of all finished jobs.
-
-        Args:
-            retry: statuses that count as not finished.
-        """
+        """Return the keys of finished jobs; a job whose status is in `retry` is not finished."""
         sql = "SELECT key FROM rows GROUP BY key HAVING NOT bool_or(list_contains(?, status))"
         return {key for (key,) in self.query(sql, [list(retry)])}
 
     def query(self, sql: str, values: Sequence[Any] = ()) -> list[tuple[Any, ...]]:
         """Return the result of a query on the table `rows`.
 
-        Args:
-            sql: the columns are those of `index_rows.sql_columns`.
-            values: for its question marks.
+        The columns are those of `index_rows.sql_columns`.
 
         Raises:
             InputError: a file of the index is damaged, or not a Parquet file.
@@ -109,10 +103,6 @@ class StoreIndex:
 
     def rebuild(self, rows: Iterable[IndexRow], name: str) -> None:
         """Write the index again, from these rows and its own rows of unsuccessful jobs.
-
-        Args:
-            rows: of all calibrations.
-            name: of the new file.
 
         Raises:
             MachineError: the disk refuses; the old index stays.

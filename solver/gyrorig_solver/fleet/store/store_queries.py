@@ -24,7 +24,6 @@ from gyrorig_solver.calibration import (
     StoredVersion,
     parse_calibration,
 )
-from gyrorig_solver.fleet.store.bucket_store import open_calibration_store
 from gyrorig_solver.fleet.store.index_rows import (
     NEWEST_FIRST_SQL,
     IndexRow,
@@ -88,7 +87,7 @@ def open_existing_store(store: Path | Storage) -> CalibrationStore:
             f"file {STORE_FILE}",
             "give the location that was used with `gyrorig batch --store`",
         )
-    return open_calibration_store(storage)
+    return CalibrationStore(storage)
 
 
 def newest_versions(
@@ -169,10 +168,6 @@ def rebuild_index(store: Path | Storage, signer: Signer | None = None) -> int:
     """Write the index and the manifests again from the calibrations; return their number.
 
     Rows of jobs without a calibration are copied from the old index if it can be read.
-
-    Args:
-        store: its location.
-        signer: signs the new manifest.
 
     Raises:
         UsageError: there is no store.

@@ -63,9 +63,7 @@ class VerificationResult:
 def verify(store: Path | Storage, key: Ed25519PublicKey | None = None) -> VerificationResult:
     """Compare every file with its digest, its successor, the index and the manifests.
 
-    Args:
-        store: its location.
-        key: manifests must be signed with it, and list every calibration; None: not checked.
+    With a key, manifests must be signed with it and list every calibration.
 
     Raises:
         UsageError: there is no store at this location.
