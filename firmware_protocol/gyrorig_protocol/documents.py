@@ -26,6 +26,7 @@ from gyrorig_protocol.file_kinds import (
 )
 
 T = TypeVar("T")
+Part = TypeVar("Part", bound=msgspec.Struct)
 
 MAX_DOCUMENT_BYTES = 4_000_000
 MAX_DEPTH = 20
@@ -161,6 +162,36 @@ def dump_yaml(document: Mapping[str, Any]) -> str:
             allow_unicode=True,
         )
     )
+
+
+def finite_values(value: Any) -> Any:
+    """Return numbers, sequences, arrays or mappings with None for each number that is not finite.
+
+    Sequences and arrays become lists; -0.0 becomes 0.0.
+    """
+    if isinstance(value, Mapping):
+        return {key: finite_values(item) for key, item in value.items()}
+    if isinstance(value, float):
+        return float(value) + 0.0 if math.isfinite(value) else None
+    if isinstance(value, list | tuple):
+        return [finite_values(item) for item in value]
+    return finite_values(value.tolist()) if hasattr(value, "tolist") else value
+
+
+def document_part(kind: type[Part], result: object, **others: Any) -> Part:
+    """Return a part of a document from the attributes of a result that have the same names.
+
+    Args:
+        kind: a msgspec struct. A field that the result does not have keeps its default.
+        result: its numbers that are not finite become None.
+        others: fields with other names or units in the result.
+
+    Raises:
+        TypeError: a field without a default is missing.
+    """
+    names = [field.name for field in msgspec.structs.fields(kind)]
+    same = {name: getattr(result, name) for name in names if hasattr(result, name)}
+    return kind(**finite_values({**same, **others}))
 
 
 class _RepeatedKeyError(Exception):

@@ -34,7 +34,7 @@ from gyrorig_solver.calibration.calibration_document import calibration_as_yaml
 from gyrorig_solver.data.clocks.lower_envelope import _cached_envelope
 from gyrorig_solver.estimate import UNIT_REMEDIES, fit_motion
 from gyrorig_solver.pipeline.board_data import load_board
-from gyrorig_solver.pipeline.solve_board import document_builder
+from gyrorig_solver.pipeline.solve_board import build_fit_document
 from gyrorig_solver.reference import read_pan_tilt_reference
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -91,7 +91,7 @@ def turn(path: Path, spent: dict[str, list[float]]) -> None:
     book("reference")
     fit = fit_motion(samples, reference, UNIT_REMEDIES, reference.warnings)
     book("solve")
-    calibration_as_yaml(document_builder(fit, data)(1, None, "2026-01-01T00:00:00Z"))
+    calibration_as_yaml(build_fit_document(fit, data))
     book("write")
 
 

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from gyrorig_protocol.documents import document_part, finite_values
 from gyrorig_protocol.profile import SensorProfile
 from gyrorig_solver.calibration.calibration_document import (
     MODEL,
@@ -37,18 +38,14 @@ from gyrorig_solver.calibration.calibration_document import (
 from gyrorig_solver.calibration.verdict import judge_fit, profile_warnings
 from gyrorig_solver.data import FloatArray
 from gyrorig_solver.estimate import GyroFit
-from gyrorig_solver.model import factorise
+from gyrorig_solver.estimate.gyro_fit import RecordingFit, StageLevel
+from gyrorig_solver.model import PARAMETER_GROUPS, factorise
 
 SAME_CLOCK_PPM = (
     1e-3  # closer rates mean the same clock: rounding to 1e-9 s in 10 s is a tenth of it
 )
+UNKNOWN: Matrix = [[None] * 3] * 3
 _UNITS = {"bias": "rad/s", "scale": "1", "nonorthogonality": "1", "misalignment": "rad"}
-_ENTRIES = {
-    "bias": ("x", "y", "z"),
-    "scale": ("x", "y", "z"),
-    "nonorthogonality": ("xy", "zx", "zy"),
-    "misalignment": ("x", "y", "z"),
-}
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,12 +55,12 @@ class Provenance:
     board: BoardRecord
     inputs: Sequence[SolvedInput]
     software: str  # version of the program
+    created: str  # UTC, as 2026-01-31T02:30:00Z
     settings: Mapping[str, Any] = field(default_factory=dict)  # of the solver, JSON values
 
-    @property
-    def settings_sha256(self) -> str:
-        """Digest of the settings, independent of their order."""
-        return settings_sha256(self.settings)
+    def solver_record(self, method: str, terms: Sequence[str]) -> SolverRecord:
+        """Return the document's entry of the solver."""
+        return SolverRecord(self.software, method, list(terms), settings_sha256(self.settings))
 
 
 def settings_sha256(settings: Mapping[str, Any]) -> str:
@@ -73,63 +70,29 @@ def settings_sha256(settings: Mapping[str, Any]) -> str:
 
 
 def build_calibration(
-    fit: GyroFit,
-    origin: Provenance,
-    *,
-    version: int,
-    previous: str | None,
-    created: str,
-    profile: SensorProfile | None = None,
+    fit: GyroFit, origin: Provenance, profile: SensorProfile | None = None
 ) -> CalibrationDocument:
-    """Return the document of one fit.
-
-    Args:
-        fit: the result.
-        origin: board, recordings and settings of the solver.
-        version: counts up from 1.
-        previous: `sha256:` digest of the previous version, None for the first.
-        created: UTC, as `2026-01-31T02:30:00Z`.
-        profile: the sensor's data sheet, to warn of values outside it.
-    """
-    config_hash = origin.board.config.config_hash
+    """Return the document of one fit, as a first version."""
     return CalibrationDocument(
         schema="gyrorig/calibration/1",
         board=origin.board,
-        version=version,
-        previous=previous,
-        created=created,
+        version=1,
+        created=origin.created,
         inputs=list(origin.inputs),
-        solver=SolverRecord(
-            version=origin.software,
-            method=fit.method,
-            terms=list(fit.terms),
-            config_sha256=origin.settings_sha256,
-        ),
+        solver=origin.solver_record(fit.method, fit.terms),
         units=Units(),
         model=MODEL,
         parameters=_parameters(fit),
         matrices=_matrices(fit.gain),
-        covariance=Covariance(
-            order=list(fit.order),
-            matrix=[[float(v) for v in row] for row in np.asarray(fit.covariance)],
-        ),
-        observability=ObservabilityRecord(
-            rank=int(fit.observability.rank),
-            of=int(fit.observability.of),
-            unobservable=list(fit.observability.unobservable),
-            condition=_finite_or_none(fit.observability.condition),
-        ),
+        covariance=Covariance(order=list(fit.order), matrix=np.asarray(fit.covariance).tolist()),
+        observability=document_part(ObservabilityRecord, fit.observability),
         noise=_noise(fit),
         quality=_quality(fit, profile, origin),
         trust=judge_fit(fit),
         validity=Validity(
-            rate_rad_s=[float(v) for v in fit.rate_range_rad_s],
-            temperature_degc=(
-                [float(v) for v in fit.temperature_range_degc]
-                if fit.temperature_range_degc is not None
-                else None
-            ),
-            config_hash=config_hash,
+            rate_rad_s=finite_values(fit.rate_range_rad_s),
+            temperature_degc=finite_values(fit.temperature_range_degc),
+            config_hash=origin.board.config.config_hash,
         ),
     )
 
@@ -141,50 +104,30 @@ def _parameters(fit: GyroFit) -> dict[str, Parameter]:
         "nonorthogonality": fit.nonorthogonality,
         "misalignment": fit.misalignment_rad,
     }
+    labels = {group.name: group.labels for group in PARAMETER_GROUPS}
     parameters = {
         name: Parameter(
-            value=[_finite_or_none(number) for number in values],
-            std=[
-                _finite_or_none(fit.std.get(f"{name}.{entry}", math.nan))
-                for entry in _ENTRIES[name]
-            ],
+            value=finite_values(values),
+            std=finite_values([fit.std.get(f"{name}.{label}", math.nan) for label in labels[name]]),
             unit=_UNITS[name],
         )
         for name, values in vectors.items()
     }
     parameters["time_offset"] = Parameter(
-        value=_finite_or_none(fit.time_offset_s),
-        std=_finite_or_none(fit.std.get("time_offset", math.nan)),
+        value=finite_values(fit.time_offset_s),
+        std=finite_values(fit.std.get("time_offset", math.nan)),
         unit="s",
     )
     for cause in fit.causes:
-        parameters[cause.name] = Parameter(
-            value=[_finite_or_none(number) for number in cause.value],
-            std=[_finite_or_none(number) for number in cause.std],
-            unit=cause.unit,
-        )
+        parameters[cause.name] = document_part(Parameter, cause)
     return parameters
 
 
 def _matrices(gain: FloatArray) -> Matrices:
     """Return the factors of G, if it is known, and G."""
-    unknown: Matrix = [[None] * 3 for _ in range(3)]
     if not np.all(np.isfinite(gain)):
-        return Matrices(S=unknown, T=unknown, M=unknown, STM=_matrix(gain))
-    factors = factorise(gain)
-    return Matrices(
-        S=_matrix(factors.S), T=_matrix(factors.T), M=_matrix(factors.M), STM=_matrix(gain)
-    )
-
-
-def _matrix(values: FloatArray) -> Matrix:
-    # + 0.0 turns -0.0 into 0.0
-    return [[_finite_or_none(v + 0.0) for v in row] for row in np.asarray(values)]
-
-
-def _finite_or_none(value: float) -> float | None:
-    """Return a finite number as a float, None for any other."""
-    return float(value) if math.isfinite(value) else None
+        return Matrices(S=UNKNOWN, T=UNKNOWN, M=UNKNOWN, STM=finite_values(gain))
+    return document_part(Matrices, factorise(gain), STM=gain)
 
 
 def _noise(fit: GyroFit) -> dict[str, NoiseFigure]:
@@ -200,41 +143,32 @@ def _noise(fit: GyroFit) -> dict[str, NoiseFigure]:
         },
     }
     return {
-        name: NoiseFigure(value=[_finite_or_none(v) for v in values], unit=unit)
+        name: NoiseFigure(value=finite_values(values), unit=unit)
         for name, (values, unit) in figures.items()
     }
 
 
-def _rest_to_rest_check(fit: GyroFit) -> RestToRestCheck | None:
-    check = fit.rest_to_rest
-    if check is None:
-        return None
-    return RestToRestCheck(check.moves, check.p_value, check.largest_sigma)
-
-
-def _level(fit: GyroFit) -> LevelRecord | None:
-    if fit.level is None:
-        return None
-    return LevelRecord(
-        tilt_zero=fit.level.tilt_zero_rad,
-        tilt_zero_std=fit.level.tilt_zero_std_rad,
-        lean=list(fit.level.lean_rad),
-        lean_std=list(fit.level.lean_std_rad),
-        rests=fit.level.rests,
+def _level(level: StageLevel) -> LevelRecord:
+    return document_part(
+        LevelRecord,
+        level,
+        tilt_zero=level.tilt_zero_rad,
+        tilt_zero_std=level.tilt_zero_std_rad,
+        lean=level.lean_rad,
+        lean_std=level.lean_std_rad,
     )
 
 
-def _recording_parameters(fit: GyroFit, names: Sequence[str]) -> list[RecordingParameters]:
-    return [
-        RecordingParameters(
-            name=name,
-            bias=[_finite_or_none(v) for v in recording.bias_rad_s],
-            bias_std=[_finite_or_none(v) for v in recording.bias_std_rad_s],
-            time_offset=_finite_or_none(recording.time_offset_s),
-            time_offset_std=_finite_or_none(recording.time_offset_std_s),
-        )
-        for name, recording in zip(names, fit.recordings, strict=True)
-    ]
+def _recording_parameters(name: str, recording: RecordingFit) -> RecordingParameters:
+    return document_part(
+        RecordingParameters,
+        recording,
+        name=name,
+        bias=recording.bias_rad_s,
+        bias_std=recording.bias_std_rad_s,
+        time_offset=recording.time_offset_s,
+        time_offset_std=recording.time_offset_std_s,
+    )
 
 
 def _clock_skew_ppm(fit: GyroFit) -> float | None:
@@ -244,26 +178,23 @@ def _clock_skew_ppm(fit: GyroFit) -> float | None:
     """
     if fit.clock is None or abs(fit.clock.skew_ppm) < SAME_CLOCK_PPM:
         return None
-    return _finite_or_none(fit.clock.skew_ppm)
+    skew_ppm: float | None = finite_values(fit.clock.skew_ppm)
+    return skew_ppm
 
 
 def _quality(fit: GyroFit, profile: SensorProfile | None, origin: Provenance) -> Quality:
     full_scale_dps = origin.board.config.gyro_full_scale_dps
-    before, after = _finite_or_none(fit.rms_before_rad_s), _finite_or_none(fit.rms_after_rad_s)
+    check = fit.rest_to_rest
+    rms = finite_values([fit.rms_before_rad_s, fit.rms_after_rad_s])
+    names = [recording.name for recording in origin.inputs]
     return Quality(
-        reduced_chi2=_finite_or_none(fit.reduced_chi2),
-        held_out=(
-            HeldOut(rms_before=before, rms_after=after)
-            if before is not None and after is not None
-            else None
-        ),
+        reduced_chi2=finite_values(fit.reduced_chi2),
+        held_out=None if None in rms else HeldOut(*rms),
         warnings=[*fit.warnings, *profile_warnings(fit, profile, full_scale_dps)],
         outliers=int(fit.outliers),
-        rest_to_rest=_rest_to_rest_check(fit),
-        level=_level(fit),
-        recordings=_recording_parameters(fit, [recording.name for recording in origin.inputs])
-        if fit.recordings
-        else None,
+        rest_to_rest=None if check is None else document_part(RestToRestCheck, check),
+        level=None if fit.level is None else _level(fit.level),
+        recordings=list(map(_recording_parameters, names, fit.recordings)) or None,
         mean_temperature_degc=fit.mean_temperature_degc,
         boards_together=fit.sharing.fitted_together,
         boards_on_one_clock=fit.sharing.on_one_clock,

@@ -8,20 +8,19 @@ import math
 
 import numpy as np
 
+from gyrorig_protocol.documents import document_part, finite_values
 from gyrorig_protocol.errors import InputError
 from gyrorig_protocol.identity import BoardId
 from gyrorig_protocol.recording.messages import EventKind, PtuStatus
 from gyrorig_protocol.recording.recording import Recording, times_ns
-from gyrorig_solver.calibration.calibration_builder import Provenance
+from gyrorig_solver.calibration.calibration_builder import UNKNOWN, Provenance
 from gyrorig_solver.calibration.calibration_document import (
     CalibrationDocument,
     Covariance,
     Matrices,
-    Matrix,
     ObservabilityRecord,
     Parameter,
     Quality,
-    SolverRecord,
     Trust,
     Units,
     Validity,
@@ -30,6 +29,7 @@ from gyrorig_solver.data import BoolArray, FloatArray
 from gyrorig_solver.data.samples import GyroSamples
 from gyrorig_solver.estimate import calibrate_as_printed
 from gyrorig_solver.estimate.paper.paper_method import FAILURES, PaperResult
+from gyrorig_solver.model import PARAMETER_GROUPS, parameter_label
 from gyrorig_solver.model.gain_matrix import rotation_vector
 from gyrorig_solver.reference import UNUSABLE_STATUS
 
@@ -70,37 +70,25 @@ def solve_with_paper_method(
 
 
 def build_paper_calibration(
-    result: PaperResult,
-    rate_range_rad_s: tuple[float, float],
-    origin: Provenance,
-    *,
-    version: int,
-    previous: str | None,
-    created: str,
+    result: PaperResult, rate_range_rad_s: tuple[float, float], origin: Provenance
 ) -> CalibrationDocument:
-    """Return the document of the paper's result."""
+    """Return the document of the paper's result, as a first version."""
     matrices = _matrices(result)
     known = matrices.S[0][0] is not None
     parameters = _parameters(result, known)
     unobservable = [
-        f"{name}.{entry}"
-        for name, entries in _ENTRIES.items()
-        if name != "bias" and parameters[name].value == [None] * 3
-        for entry in entries
-    ] + ["time_offset"]
+        parameter_label(group.name, label)
+        for group in PARAMETER_GROUPS
+        if parameters[group.name].value in ([None] * 3, None)
+        for label in group.labels
+    ]
     return CalibrationDocument(
         schema="gyrorig/calibration/1",
         board=origin.board,
-        version=version,
-        previous=previous,
-        created=created,
+        version=1,
+        created=origin.created,
         inputs=list(origin.inputs),
-        solver=SolverRecord(
-            version=origin.software,
-            method="paper",
-            terms=["bias", "scale", "nonorthogonality", "misalignment"],
-            config_sha256=origin.settings_sha256,
-        ),
+        solver=origin.solver_record("paper", [group.name for group in PARAMETER_GROUPS[:-1]]),
         units=Units(),
         model="y = S T M u + b t, angles: the paper's eq. 6 to 12 as printed",
         parameters=parameters,
@@ -120,33 +108,21 @@ def build_paper_calibration(
             or ["no standard uncertainties are given. Use --method likelihood"],
         ),
         validity=Validity(
-            rate_rad_s=[float(v) for v in rate_range_rad_s],
+            rate_rad_s=list(rate_range_rad_s),
             config_hash=origin.board.config.config_hash,
         ),
     )
 
 
-_ENTRIES = {
-    "bias": ("x", "y", "z"),
-    "scale": ("x", "y", "z"),
-    "nonorthogonality": ("xy", "zx", "zy"),
-    "misalignment": ("x", "y", "z"),
-}
-
-
 def _matrices(result: PaperResult) -> Matrices:
     """Return S, T and M if they are valid factors of STM, else null; STM always."""
-    unknown: Matrix = [[None] * 3 for _ in range(3)]
     S, T, M = result.S, result.T, result.M
-    if S is None or T is None or M is None:
-        return Matrices(S=unknown, T=unknown, M=unknown, STM=_matrix_rows(result.STM))
-    product_agrees = float(np.abs(S @ T @ M - result.STM).max()) < _EXACT
-    is_rotation = float(np.abs(M.T @ M - np.eye(3)).max()) < _EXACT and np.linalg.det(M) > 0.0
-    if not (product_agrees and is_rotation):
-        return Matrices(S=unknown, T=unknown, M=unknown, STM=_matrix_rows(result.STM))
-    return Matrices(
-        S=_matrix_rows(S), T=_matrix_rows(T), M=_matrix_rows(M), STM=_matrix_rows(result.STM)
-    )
+    if S is not None and T is not None and M is not None:
+        product_agrees = float(np.abs(S @ T @ M - result.STM).max()) < _EXACT
+        is_orthogonal = float(np.abs(M.T @ M - np.eye(3)).max()) < _EXACT
+        if product_agrees and is_orthogonal and np.linalg.det(M) > 0.0:
+            return document_part(Matrices, result)
+    return Matrices(S=UNKNOWN, T=UNKNOWN, M=UNKNOWN, STM=finite_values(result.STM))
 
 
 def _parameters(result: PaperResult, known: bool) -> dict[str, Parameter]:
@@ -160,16 +136,12 @@ def _parameters(result: PaperResult, known: bool) -> dict[str, Parameter]:
             nonorthogonality = [float(T[1, 0]), float(T[2, 0]), float(T[2, 1])]
         misalignment = [float(v) for v in rotation_vector(M)]
     return {
-        "bias": Parameter([float(v) for v in result.bias_rad_s], unknown, "rad/s"),
+        "bias": Parameter(result.bias_rad_s.tolist(), unknown, "rad/s"),
         "scale": Parameter(scale, unknown, "1"),
         "nonorthogonality": Parameter(nonorthogonality, unknown, "1"),
         "misalignment": Parameter(misalignment, unknown, "rad"),
         "time_offset": Parameter(None, None, "s"),
     }
-
-
-def _matrix_rows(values: FloatArray) -> Matrix:
-    return [[float(v) + 0.0 if math.isfinite(v) else None for v in row] for row in values]
 
 
 def _interpolated_angles(

@@ -59,6 +59,7 @@ def build_provenance(
             for recording, missing in zip(recordings, lost, strict=True)
         ],
         software=software,
+        created=datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ"),
         settings=settings,
     )
 

@@ -7,7 +7,6 @@ command shows its elapsed time after two seconds.
 """
 
 import json
-import math
 import os
 import shutil
 import sys
@@ -22,6 +21,7 @@ from typing import Any, TypeVar
 
 import click
 
+from gyrorig_protocol.documents import finite_values
 from gyrorig_protocol.errors import sentence
 from gyrorig_protocol.suggestions import did_you_mean
 
@@ -52,15 +52,6 @@ def printable(text: str) -> str:
     Names in recordings come from devices and are untrusted.
     """
     return "".join(c if c == "\n" or c.isprintable() else ascii(c)[1:-1] for c in text)
-
-
-def finite_json(value: Any) -> Any:
-    """Return `value` with null for numbers that JSON cannot express."""
-    if isinstance(value, Mapping):
-        return {key: finite_json(element) for key, element in value.items()}
-    if isinstance(value, list | tuple):
-        return [finite_json(element) for element in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 @dataclass(slots=True)
@@ -103,7 +94,7 @@ class Terminal:
         """Write the JSON object of `--json`; without that option nothing."""
         if self.json:
             self.erase_elapsed_time()
-            click.echo(json.dumps(finite_json(result), allow_nan=False))
+            click.echo(json.dumps(finite_values(result), allow_nan=False))
 
     def print_progress(self, text: str) -> None:
         """Write one line of progress to standard error."""
@@ -182,9 +173,7 @@ def colour_verdict(text: str, verdict: str) -> str:
 def format_table(rows: Sequence[Sequence[str]], right: Collection[int] = ()) -> list[str]:
     """Return rows as lines with aligned columns.
 
-    Args:
-        rows: texts of equal number per row.
-        right: numbers of the columns to align at the right.
+    The columns with the numbers in `right` are aligned at the right.
     """
     widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
     return [

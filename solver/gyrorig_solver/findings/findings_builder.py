@@ -7,10 +7,11 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
+from gyrorig_protocol.documents import document_part, finite_values
 from gyrorig_solver.data.stream.count_stream import CheckResult, StreamFinding
 from gyrorig_solver.discover import CauseFindings, NamedCause
 from gyrorig_solver.discover import HeldOutGain as FoundGain
-from gyrorig_solver.discover.cause_findings import CalibrationChange, ConfidenceInterval
+from gyrorig_solver.discover.cause_findings import ConfidenceInterval
 from gyrorig_solver.discover.cause_findings import UnexplainedResidual as FoundUnexplained
 from gyrorig_solver.findings.findings_document import (
     BaseModelEntry,
@@ -60,15 +61,7 @@ def build_findings_document(
     figures: Mapping[str, str] | None = None,
     remarks: Sequence[str] = (),
 ) -> FindingsDocument:
-    """Return the document of one board.
-
-    Args:
-        findings: of the search for causes.
-        raw: the checks of each recording's raw stream, and of the gain.
-        origin: the board and the recordings.
-        figures: names of the figures' files by `figure_key`.
-        remarks: notes of the fit and of the search.
-    """
+    """Return the document of one board."""
     figure_files = figures or {}
     causes = _cause_entries(findings, raw, figure_files)
     verdict = findings.verdict
@@ -83,20 +76,17 @@ def build_findings_document(
         verdict=verdict,
         base=BaseModelEntry(
             list(findings.base_terms),
-            _finite_or_none(findings.base_reduced_chi2),
-            _finite_or_none(findings.base_whiteness_p),
+            finite_values(findings.base_reduced_chi2),
+            finite_values(findings.base_whiteness_p),
         ),
         causes=causes,
         not_testable=_untestable_entries(findings, raw),
         minimal_detectable=[
-            DetectableEntry(
-                limit.cause,
-                _finite_or_none(limit.size),
-                limit.unit,
-                limit.where,
-                _finite_or_none(limit.typical),
-                limit.biased_parameter,
-                _finite_or_none(limit.parameter_bias_sigma),
+            document_part(
+                DetectableEntry,
+                limit,
+                would_move=limit.biased_parameter,
+                by_sigma=limit.parameter_bias_sigma,
             )
             for limit in findings.detection_limits
         ],
@@ -108,7 +98,7 @@ def build_findings_document(
         unexplained=_unexplained_entry(findings.unexplained, figure_files),
         gain=_gain_entry(findings.gain),
         elsewhere=_gain_entry(findings.other_recording_gain),
-        effect_on_calibration=_change_entries(findings.changes),
+        effect_on_calibration=[document_part(ChangeEntry, change) for change in findings.changes],
         remarks=list(remarks),
     )
 
@@ -136,7 +126,7 @@ def _untestable_entries(findings: CauseFindings, raw: Sequence[RawChecks]) -> li
     tested = {cause for result in results for cause in result.testable_causes}
     tested |= {finding.cause for result in results for finding in result.findings}
     return [
-        UntestableEntry(untestable.cause, untestable.reason, untestable.where)
+        document_part(UntestableEntry, untestable)
         for untestable in findings.untestable
         if untestable.cause not in tested
     ]
@@ -181,30 +171,23 @@ def _searched_cause(
         part=cause.part,
         where=", ".join(cause.where) or "all",
         parameters={
-            value.name: SizeEntry(
-                _finite_or_none(value.value), _finite_or_none(value.std), value.unit
-            )
+            value.name: document_part(SizeEntry, value)
             for value in cause.values
             if not cause.where
             or "." not in value.name
             or value.name.rpartition(".")[2] in cause.where
         },
-        evidence=TestStatistics(
-            statistic=_finite_or_none(cause.statistic),
-            degrees_of_freedom=cause.degrees_of_freedom,
-            p_value=_finite_or_none(cause.p_value),
+        evidence=document_part(
+            TestStatistics,
+            cause,
             seen_as=cause.sentence,
             figure=figures.get(figure_key(cause.cause, cause.where)),
-            posterior=_finite_or_none(cause.posterior),
         ),
         gain=_gain_entry(cause.gain or (findings.gain if is_only_cause else None)),
         one_of=list(cause.one_of),
-        rivals=[
-            RivalEntry(rival.cause, _finite_or_none(rival.delta_log_likelihood), rival.reason)
-            for rival in cause.rivals
-        ],
-        effect_on_calibration=_change_entries(cause.changes),
-        harm_sigma=_finite_or_none(cause.parameter_bias_sigma),
+        rivals=[document_part(RivalEntry, rival) for rival in cause.rivals],
+        effect_on_calibration=[document_part(ChangeEntry, change) for change in cause.changes],
+        harm_sigma=finite_values(cause.parameter_bias_sigma),
         remedy=cause_remedy(cause.cause),
         recording=cause.recording,
     )
@@ -223,11 +206,11 @@ def _raw_cause(
         cause=finding.cause,
         part=finding.part,
         where=", ".join(finding.where) or "all",
-        parameters={finding.quantity: SizeEntry(_finite_or_none(finding.size), std, finding.unit)},
+        parameters={finding.quantity: SizeEntry(finite_values(finding.size), std, finding.unit)},
         evidence=TestStatistics(
             statistic=float(finding.count),
             degrees_of_freedom=1,
-            p_value=_finite_or_none(finding.p_value),
+            p_value=finite_values(finding.p_value),
             seen_as=finding.seen_as + recording_text,
             figure=figures.get(figure_key(finding.cause, finding.where)),
         ),
@@ -239,39 +222,22 @@ def _raw_cause(
 def _gain_entry(gain: FoundGain | None) -> GainEntry | None:
     if gain is None:
         return None
-    log_likelihood = gain.log_likelihood
-    return GainEntry(
-        held_out_log_likelihood=_finite_or_none(log_likelihood.value),
-        residual_rms_before=_finite_or_none(gain.rms_before),
-        residual_rms_after=_finite_or_none(gain.rms_after),
-        interval=[_finite_or_none(log_likelihood.low), _finite_or_none(log_likelihood.high)],
-        turn_error_before=_finite_or_none(gain.turn_error_before_rad),
-        turn_error_after=_finite_or_none(gain.turn_error_after_rad),
-        rms_change=_interval_limits(gain.rms_change),
-        turn_change=_interval_limits(gain.turn_change),
-        how=gain.how,
+    return document_part(
+        GainEntry,
+        gain,
+        held_out_log_likelihood=gain.log_likelihood.value,
+        residual_rms_before=gain.rms_before,
+        residual_rms_after=gain.rms_after,
+        interval=_limits(gain.log_likelihood),
+        turn_error_before=gain.turn_error_before_rad,
+        turn_error_after=gain.turn_error_after_rad,
+        rms_change=_limits(gain.rms_change),
+        turn_change=None if gain.turn_change is None else _limits(gain.turn_change),
     )
 
 
-def _interval_limits(interval: ConfidenceInterval | None) -> list[float | None] | None:
-    return (
-        None
-        if interval is None
-        else [_finite_or_none(interval.low), _finite_or_none(interval.high)]
-    )
-
-
-def _change_entries(changes: Sequence[CalibrationChange]) -> list[ChangeEntry]:
-    return [
-        ChangeEntry(
-            change.parameter,
-            _finite_or_none(change.before),
-            _finite_or_none(change.after),
-            _finite_or_none(change.std),
-            change.unit,
-        )
-        for change in changes
-    ]
+def _limits(interval: ConfidenceInterval) -> list[float]:
+    return [interval.low, interval.high]
 
 
 def _unexplained_entry(
@@ -281,8 +247,8 @@ def _unexplained_entry(
         return None
     harm_sigma = unexplained_bias_sigma(residual)
     return UnexplainedEntry(
-        statistic=_finite_or_none(residual.leading.statistic),
-        p_value=_finite_or_none(residual.leading.p_value),
+        statistic=finite_values(residual.leading.statistic),
+        p_value=finite_values(residual.leading.p_value),
         best_covariate=residual.leading.description,
         figure=figures.get(UNEXPLAINED_FIGURE),
         harm=(
@@ -293,13 +259,7 @@ def _unexplained_entry(
         ),
         harm_sigma=harm_sigma,
         others=[
-            DependenceEntry(
-                test.description, _finite_or_none(test.statistic), _finite_or_none(test.p_value)
-            )
+            document_part(DependenceEntry, test, covariate=test.description)
             for test in residual.others
         ],
     )
-
-
-def _finite_or_none(value: float) -> float | None:
-    return float(value) if math.isfinite(value) else None

@@ -6,7 +6,6 @@ unit at the same time; `rebuild_report_data` for the report of a stored calibrat
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from datetime import UTC, datetime
 from importlib.metadata import version as installed_version
 from pathlib import Path
 from typing import Any
@@ -61,10 +60,6 @@ class StoredResult:
     unit_version: int | None = None  # of the unit's posterior, if the solve added one
 
 
-# (version, digest of the version before, created) to the document
-DocumentBuilder = Callable[[int, str | None, str], CalibrationDocument]
-
-
 def solve_and_store(
     store: CalibrationStore,
     recordings: Sequence[Recording],
@@ -100,59 +95,46 @@ def solve_and_store(
         MachineError: the store cannot be written.
     """
     store.prepare_folder(board)
+    fit: GyroFit | None = None
     explanation: BoardExplanation | None = None
     unit_version: int | None = None
     data = load_board(recordings, board)
     if method == "paper":
-        document, report_data_of = _solve_by_paper(data)
+        document = _solve_by_paper(data)
     else:
         criticised = precomputed or fit_criticised(data, extend)
         explanation = criticised.explanation
         settings = default_settings() if uncertainty is None else uncertainty
         knowledge = UnitKnowledge() if unit_knowledge is None else unit_knowledge
         assessed = assess_fit(data, criticised, settings, knowledge)
+        fit = assessed.fit
         unit_version = add_to_unit(data, criticised, assessed, settings, knowledge)
-        document, report_data_of = _solve_by_likelihood(data, extend, criticised, assessed)
-    created = datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
-    written: list[CalibrationDocument] = []
+        document = _likelihood_document(data, extend, criticised, assessed)
 
     def text(version: int, previous: str | None) -> str:
-        written.append(document(version, previous, created))
-        return calibration_as_yaml(written[-1])
+        nonlocal document
+        document = _as_version(document, version, previous)
+        return calibration_as_yaml(document)
 
     stored = store.add_version(board, text, before_writing)
-    report = store.write_companion(
-        stored, ".report.html", render_calibration(report_data_of(written[-1])).encode()
-    )
+    page = render_calibration(_report_data(document, fit))
+    report = store.write_companion(stored, ".report.html", page.encode())
     if explanation is not None:  # v0001.findings.yaml and v0001.findings.html
         findings, page = findings_page(explanation)
         store.write_companion(stored, FINDINGS_SUFFIX, findings_yaml(findings).encode())
         store.write_companion(stored, ".findings.html", page.encode())
-    return StoredResult(written[-1], stored.path, report, stored, explanation, unit_version)
+    return StoredResult(document, stored.path, report, stored, explanation, unit_version)
 
 
-def document_builder(
+def build_fit_document(
     fit: GyroFit, data: BoardData, extend: Sequence[str] = (AUTO,)
-) -> DocumentBuilder:
-    """Return a function that builds a fit's document for a version.
-
-    Args:
-        fit: of these recordings.
-        data: the board's recordings.
-        extend: causes that were requested.
-    """
+) -> CalibrationDocument:
+    """Build the document of a fit, as a first version."""
     lost = [fit.lost] if len(data.samples) == 1 else [samples.lost for samples in data.samples]
     software = installed_version("gyrorig")
     settings = likelihood_settings(extend)
     origin = build_provenance(data.recordings, BoardId(data.board), lost, software, settings)
-    profile = find_profile(origin.board.sensor)
-
-    def document(version: int, previous: str | None, created: str) -> CalibrationDocument:
-        return build_calibration(
-            fit, origin, version=version, previous=previous, created=created, profile=profile
-        )
-
-    return document
+    return build_calibration(fit, origin, find_profile(origin.board.sensor))
 
 
 def likelihood_settings(extend: Sequence[str]) -> dict[str, Any]:
@@ -160,42 +142,43 @@ def likelihood_settings(extend: Sequence[str]) -> dict[str, Any]:
     return {"method": "likelihood", **({"extend": list(extend)} if extend else {})}
 
 
-def _solve_by_likelihood(
-    data: BoardData,
-    extend: Sequence[str],
-    criticised: CriticisedFit,
-    assessed: AssessedFit,
-) -> tuple[DocumentBuilder, Callable[[CalibrationDocument], ReportData]]:
-    fit, explanation, criticism = assessed.fit, criticised.explanation, criticised.criticism
-    build = document_builder(fit, data, extend)
+def _likelihood_document(
+    data: BoardData, extend: Sequence[str], criticised: CriticisedFit, assessed: AssessedFit
+) -> CalibrationDocument:
+    document = msgspec.structs.replace(
+        build_fit_document(assessed.fit, data, extend), unit_prior=assessed.unit_prior
+    )
+    if assessed.budget is not None:
+        document = with_total_uncertainty(document, assessed.budget)
+    if criticised.explanation is not None:
+        return with_search_findings(document, criticised.explanation)
+    if criticised.criticism is not None:
+        return add_criticism(document, criticised.criticism)
+    return document
 
-    def document(version: int, previous: str | None, created: str) -> CalibrationDocument:
-        built = msgspec.structs.replace(
-            build(version, previous, created), unit_prior=assessed.unit_prior
-        )
-        if assessed.budget is not None:
-            built = with_total_uncertainty(built, assessed.budget)
-        if explanation is not None:
-            return with_search_findings(built, explanation)
-        if criticism is not None:
-            return add_criticism(built, criticism)
-        return built
 
-    def report_data_of(calibration: CalibrationDocument) -> ReportData:
-        profile = find_profile(calibration.board.sensor)
-        return ReportData(calibration, fit.diagnostics, fit.clock, profile, fit.reference)
+def _as_version(
+    calibration: CalibrationDocument, version: int, previous: str | None
+) -> CalibrationDocument:
+    findings = calibration.findings
+    if findings is not None:
+        findings = msgspec.structs.replace(findings, file=f"v{version:04d}{FINDINGS_SUFFIX}")
+    return msgspec.structs.replace(
+        calibration, version=version, previous=previous, findings=findings
+    )
 
-    return document, report_data_of
+
+def _report_data(calibration: CalibrationDocument, fit: GyroFit | None) -> ReportData:
+    profile = find_profile(calibration.board.sensor)
+    if fit is None:
+        return ReportData(calibration, profile=profile)
+    return ReportData(calibration, fit.diagnostics, fit.clock, profile, fit.reference)
 
 
 def rebuild_report_data(
     calibration: CalibrationDocument, recordings: Sequence[Recording]
 ) -> ReportData:
     """Return the data of a stored calibration's report, its arrays computed again.
-
-    Args:
-        calibration: from a store; its numbers are not changed.
-        recordings: those that it was solved from.
 
     Raises:
         InputError: the recordings are others, or the settings of the solve are not known.
@@ -215,13 +198,9 @@ def rebuild_report_data(
             "give only the recordings that the calibration was solved from",
         )
     if calibration.solver.method == "paper":
-        return ReportData(calibration, profile=find_profile(calibration.board.sensor))
+        return _report_data(calibration, None)
     data = load_board(recordings, calibration.board.id)
-    extend = _requested_causes(calibration)
-    criticised = fit_criticised(data, extend)
-    assessed = AssessedFit(criticised.fit)
-    _, report_data_of = _solve_by_likelihood(data, extend, criticised, assessed)
-    return report_data_of(calibration)
+    return _report_data(calibration, fit_criticised(data, _requested_causes(calibration)).fit)
 
 
 def _requested_causes(calibration: CalibrationDocument) -> tuple[str, ...]:
@@ -251,14 +230,12 @@ def with_search_findings(
         findings=FindingsReference(
             verdict=findings.verdict,
             causes=[cause.cause for cause in findings.causes],
-            file=f"v{calibration.version:04d}{FINDINGS_SUFFIX}",
+            file="",  # named by `_as_version`
         ),
     )
 
 
-def _solve_by_paper(
-    data: BoardData,
-) -> tuple[DocumentBuilder, Callable[[CalibrationDocument], ReportData]]:
+def _solve_by_paper(data: BoardData) -> CalibrationDocument:
     if len(data.recordings) > 1:
         raise UsageError(
             "the option `--method paper` needs exactly one recording, but "
@@ -269,16 +246,5 @@ def _solve_by_paper(
     result = solve_with_paper_method(recording, board, samples)
     software = installed_version("gyrorig")
     origin = build_provenance([recording], board, [samples.lost], software, {"method": "paper"})
-    profile = find_profile(origin.board.sensor)
     rates = samples.rate_rad_s[samples.usable]
-    span = (float(rates.min()), float(rates.max()))
-
-    def document(version: int, previous: str | None, created: str) -> CalibrationDocument:
-        return build_paper_calibration(
-            result, span, origin, version=version, previous=previous, created=created
-        )
-
-    def report_data_of(calibration: CalibrationDocument) -> ReportData:
-        return ReportData(calibration, profile=profile)
-
-    return document, report_data_of
+    return build_paper_calibration(result, (float(rates.min()), float(rates.max())), origin)

@@ -145,6 +145,7 @@ def provenance() -> Provenance:
                 lost=3,
             )
         ],
+        created="2026-01-31T02:30:00Z",
         software="0.1.0",
         settings={"method": "likelihood"},
     )

@@ -33,7 +33,7 @@ BOARDS = Path(__file__).parents[3] / "config" / "boards"
 
 
 def made(fit: GyroFit, origin: Provenance) -> CalibrationDocument:
-    return build_calibration(fit, origin, version=1, previous=None, created="2026-01-31T02:30:00Z")
+    return build_calibration(fit, origin)
 
 
 def assert_same_text(text: str, golden: str) -> None:
@@ -122,16 +122,12 @@ def test_values_outside_the_data_sheet_give_warnings(
 ) -> None:
     profile = parse_profile((BOARDS / "L3G4200D.yaml").read_text(), "L3G4200D.yaml")
     fit = replace(good_fit, scale=np.array([2.0, 1.0, 1.0]), bias_rad_s=np.array([0.0, 0.0, 0.6]))
-    document = build_calibration(
-        fit, provenance, version=1, previous=None, created="2026-01-31T02:30:00Z", profile=profile
-    )
+    document = build_calibration(fit, provenance, profile)
     assert [w.split(" ")[0] for w in document.quality.warnings] == ["scale.x", "bias.z"]
     assert "±25" in document.quality.warnings[1]
     config = msgspec.structs.replace(provenance.board.config, gyro_full_scale_dps=2000.0)
     wide = replace(provenance, board=msgspec.structs.replace(provenance.board, config=config))
-    document = build_calibration(
-        fit, wide, version=1, previous=None, created="2026-01-31T02:30:00Z", profile=profile
-    )
+    document = build_calibration(fit, wide, profile)
     assert [w.split(" ")[0] for w in document.quality.warnings] == ["scale.x"]  # ±187.5 there
 
 

@@ -10,10 +10,11 @@ from pathlib import Path
 import pytest
 import yaml
 
+from gyrorig_protocol.documents import finite_values
 from gyrorig_protocol.errors import UsageError
 from gyrorig_solver import cli
 from gyrorig_solver.calibration import parse_calibration
-from gyrorig_solver.commands.terminal import finite_json, printable
+from gyrorig_solver.commands.terminal import printable
 from gyrorig_solver.model import find_term
 
 ROOT = Path(__file__).parents[3]
@@ -54,7 +55,7 @@ def test_texts_from_strangers_do_not_steer_the_terminal(capsys: Captured) -> Non
 
 
 def test_numbers_that_json_does_not_know_are_null() -> None:
-    assert finite_json({"a": [float("nan"), 1.0], "b": (float("inf"),)}) == {
+    assert finite_values({"a": [float("nan"), 1.0], "b": (float("inf"),)}) == {
         "a": [None, 1.0],
         "b": [None],
     }

@@ -51,7 +51,7 @@ def page_of(text: str) -> Page:
 
 
 def made(fit: GyroFit, origin: Provenance) -> CalibrationDocument:
-    return build_calibration(fit, origin, version=1, previous=None, created="2026-01-31T02:30:00Z")
+    return build_calibration(fit, origin)
 
 
 def report(fit: GyroFit, origin: Provenance) -> str:
