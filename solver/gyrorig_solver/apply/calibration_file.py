@@ -62,10 +62,6 @@ def read_document(path: Path) -> bytes:
 def check_parameters(document: CalibrationDocument, name: str) -> None:
     """Check the names of a calibration's parameters against the catalogue of causes.
 
-    Args:
-        document: the calibration.
-        name: how to name it in an error, usually its file name.
-
     Raises:
         InputError: a name is not known, or a base parameter is missing.
     """

@@ -161,10 +161,6 @@ class Correction:
 def build_correction(calibration: CalibrationDocument, frame: Frame = "stage") -> Correction:
     """Return the correction of a calibration.
 
-    Args:
-        calibration: the document.
-        frame: axes of the rates: the stage's, or the orthogonalised axes of the sensor.
-
     Raises:
         InputError: the verdict is refused, or a needed parameter is not known.
     """

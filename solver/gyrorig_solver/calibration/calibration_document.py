@@ -289,10 +289,6 @@ def calibration_as_yaml(calibration: CalibrationDocument) -> str:
 def parse_calibration(text: str | bytes, name: str) -> CalibrationDocument:
     """Return the calibration of a YAML document.
 
-    Args:
-        text: the document.
-        name: the document's name in an error, usually its file name.
-
     Raises:
         InputError: it is not YAML, has another schema, or does not match it.
     """

@@ -38,12 +38,7 @@ NOISE_REMEDY = "record for longer, or solve several recordings together"
 def with_total_uncertainty(
     calibration: CalibrationDocument, budget: UncertaintyBudget
 ) -> CalibrationDocument:
-    """Return a calibration with its total uncertainty, and the effect of it on the verdict.
-
-    Args:
-        calibration: its `std` are type A.
-        budget: of the same fit.
-    """
+    """Return a calibration with its total uncertainty, and the effect of it on the verdict."""
     record = build_uncertainty(calibration, budget)
     trust = judge_total(calibration.trust, record)
     return msgspec.structs.replace(calibration, uncertainty=record, trust=trust)

@@ -86,10 +86,6 @@ def unit_as_yaml(document: UnitPosteriorDocument) -> str:
 def parse_unit(text: str | bytes, name: str) -> UnitPosteriorDocument:
     """Return the posterior of a YAML document.
 
-    Args:
-        text: the document.
-        name: the document's name in an error, usually its file name.
-
     Raises:
         InputError: it is not YAML, has another schema, or is no distribution.
     """

@@ -56,10 +56,6 @@ class UnitStore:
     def prior_for(self, unit: UnitIdentity, digests: Collection[str]) -> StoredPosterior | None:
         """Return the newest version that contains none of the recordings; None if there is none.
 
-        Args:
-            unit: of the recordings.
-            digests: of the recordings.
-
         Raises:
             InputError: a version is damaged, or of another unit.
         """

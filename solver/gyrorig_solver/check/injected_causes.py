@@ -30,10 +30,6 @@ class ScoredCause:
 def verify_commitment(truth: Mapping[str, Any], commitment: str | None) -> None:
     """Check a truth document against the hash that was published before the recording.
 
-    Args:
-        truth: the emulator's document.
-        commitment: the published SHA-256; None if none was published.
-
     Raises:
         InputError: the hash differs.
     """

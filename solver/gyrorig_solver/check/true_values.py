@@ -49,10 +49,6 @@ def compare_with_truth(
 ) -> list[ParameterComparison]:
     """Return each base parameter with its true value.
 
-    Args:
-        calibration: of one board.
-        truth: the emulator's document.
-
     Raises:
         InputError: the document has no usable values of that board.
     """

@@ -52,12 +52,6 @@ def versions_in_time(
 ) -> list[StoredVersion]:
     """Return the versions of a board in the order of their recordings, the last one last.
 
-    Args:
-        folder: the store.
-        board: whose versions.
-        at: only versions recorded until this time; None for all.
-        config_hash: only versions with this configuration hash; None for all.
-
     Raises:
         InputError: there is none.
     """

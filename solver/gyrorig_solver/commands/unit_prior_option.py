@@ -26,10 +26,6 @@ unit_prior_option = click.option(
 def read_unit_knowledge(text: str, storage: Storage) -> UnitKnowledge:
     """Return what `--unit-prior` names.
 
-    Args:
-        text: of the option.
-        storage: of the results.
-
     Raises:
         UsageError: the file cannot be read.
         InputError: the file is no posterior of a unit.

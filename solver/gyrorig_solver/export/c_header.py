@@ -70,10 +70,6 @@ class FixedPoint:
 def c_header(source: ExportSource, name: str | None = None) -> str:
     """Return the header's text.
 
-    Args:
-        source: a calibration with its gain.
-        name: prefix of its names; by default made from that of the board.
-
     Raises:
         InputError: a needed parameter is not known.
         UsageError: `name` is not an identifier, or the nominal scale is not known.

@@ -123,8 +123,7 @@ class ExportSource:
     def omission_lines(self, carried: Sequence[str] = ()) -> list[str]:
         """Return lines that list the causes of the document that a format leaves out.
 
-        Args:
-            carried: the causes that the format contains.
+        The format contains the causes in `carried`.
 
         Raises:
             InputError: without the omitted cause the exported numbers would be wrong.

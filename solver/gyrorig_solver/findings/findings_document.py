@@ -206,10 +206,6 @@ def to_yaml(document: FindingsDocument) -> str:
 def parse_findings(text: str | bytes, name: str) -> FindingsDocument:
     """Return the findings that a YAML document holds.
 
-    Args:
-        text: the document.
-        name: what to call it in an error, usually its file name.
-
     Raises:
         InputError: it is not YAML, has another schema, or a value is not valid.
     """

@@ -28,13 +28,6 @@ def write_findings(
 ) -> Path:
     """Write one board's findings; earlier ones are kept under a number.
 
-    Args:
-        out: the folder of all boards.
-        board: which one.
-        document: the text of findings.yaml.
-        page: the text of report.html.
-        figures: SVG texts by key.
-
     Returns:
         The document's path.
 

@@ -78,13 +78,7 @@ def write_recording(
 ) -> Path:
     """Write a recording and return its path.
 
-    Args:
-        out: the recording; it must not exist.
-        metadata: the metadata records.
-        attachments: the files to attach.
-        board: the board that the samples belong to.
-        imu: the samples.
-        messages: all other messages, in the order of their log times.
+    The messages are in the order of their log times.
 
     Raises:
         UsageError: `out` exists.

@@ -41,10 +41,6 @@ class MeasurementColumns(Protocol):
 def open_columns(path: Path, wanted: Sequence[str]) -> MeasurementColumns:
     """Open a table for the columns that a map asks for.
 
-    Args:
-        path: `.npz`, or a text table with a header line (`.csv`, `.tsv`, `.txt`).
-        wanted: names of all columns to read.
-
     Raises:
         InputError: the file cannot be read, lacks a column, or is too large.
     """
@@ -187,15 +183,7 @@ def _parse_rows(rows: Sequence[str], delimiter: str, column_indices: Sequence[in
 def _bad_cell_error(
     name: str, rows: Sequence[str], delimiter: str, cells: Mapping[int, str], rows_before: int
 ) -> InputError:
-    """Return the error of the first cell that is not a number.
-
-    Args:
-        name: of the file.
-        rows: the block with the cell.
-        delimiter: between cells.
-        cells: index and name of each requested column.
-        rows_before: rows between the header and these.
-    """
+    """Return the error of the first cell that is not a number."""
     for number, line in enumerate(rows, start=rows_before + 1):
         try:
             row = next(csv.reader([line], delimiter=delimiter), [])

@@ -41,12 +41,7 @@ def import_phone(
 ) -> ImportSummary:
     """Convert a phone's log to a recording.
 
-    Args:
-        source: the log; see `phone_log` for the layouts.
-        out: the recording, `.mcap`; it must not exist.
-        board: name of the phone.
-        sensor: its gyroscope, for the data sheet, such as MPU-6515 for a Nexus 5.
-        unit_recording: a recording of the unit that turned the phone during the log.
+    Without `unit_recording`, the time of the new recording is that of the phone.
 
     Raises:
         InputError: the log is not readable, or its motion is not that of the unit; nothing

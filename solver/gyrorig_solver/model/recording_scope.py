@@ -78,12 +78,7 @@ class _OneRecordingMixin:
 
 
 def limit_to_recording(term: Term, recording_index: int) -> Term:
-    """Return a cause that acts in one recording only.
-
-    Args:
-        term: of the catalogue.
-        recording_index: the index in `RecordingContext`.
-    """
+    """Return a cause that acts in one recording only."""
     limited: Any = object.__new__(_one_recording_class(type(term)))
     limited.__dict__.update(term.__dict__)
     limited.recording_index = recording_index

@@ -85,10 +85,6 @@ class BoardData:
 def load_board(recordings: Sequence[Recording], board: str) -> BoardData:
     """Load one board's samples from all of its recordings.
 
-    Args:
-        recordings: in any order.
-        board: in each of them.
-
     Raises:
         InputError: the board is not in a recording, or has too few samples there.
     """

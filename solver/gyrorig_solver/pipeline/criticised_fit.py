@@ -138,10 +138,6 @@ class CriticisedFit:
 def fit_criticised(data: BoardData, extend: Sequence[str]) -> CriticisedFit:
     """Fit one board and criticise the fit.
 
-    Args:
-        data: the board's recordings.
-        extend: causes of the catalogue to fit, `auto` for those that a search names.
-
     Raises:
         InputError: a recording has no reference.
         UsageError: the recordings cannot be solved together, or a cause is unknown.

@@ -22,13 +22,7 @@ from gyrorig_solver.model import Term
 def add_findings(
     calibration: CalibrationDocument, findings: FindingsDocument, named: Sequence[Term]
 ) -> CalibrationDocument:
-    """Return a calibration with the verdict after a search for causes.
-
-    Args:
-        calibration: of the fit alone.
-        findings: of the search and of the checks of the stream.
-        named: the causes that the search named and did not fit.
-    """
+    """Return a calibration with the verdict after a search for causes."""
     fitted = calibration.solver.terms
     unfitted = [
         cause.cause for cause in named if cause.kind == "effect" and cause.cause not in fitted
@@ -48,13 +42,7 @@ def add_criticism(calibration: CalibrationDocument, criticism: FitCriticism) -> 
 
 
 def judge_findings(trust: Trust, findings: FindingsDocument, unfitted: Sequence[str]) -> Trust:
-    """Return the verdict after a search for causes.
-
-    Args:
-        trust: of the fit alone.
-        findings: of the search.
-        unfitted: causes that were found, act on the rates and are not part of the fit.
-    """
+    """Return the verdict after a search for causes."""
     reasons = []
     if unfitted:
         reasons.append(

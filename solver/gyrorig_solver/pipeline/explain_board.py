@@ -96,9 +96,7 @@ def explain_boards(
 ) -> Iterator[tuple[BoardId, BoardExplanation | GyrorigError]]:
     """Explain several boards; those on one unit in the same recordings together.
 
-    Args:
-        recordings: those of each board, in any order.
-        held_out: a recording on which the named causes are tested; nothing is fitted to it.
+    The named causes are tested on `held_out`; nothing is fitted to it.
 
     Yields:
         Each board with its explanation, or the error that prevents it.
@@ -145,9 +143,7 @@ def explain_recordings(recordings: Sequence[Recording], board: str) -> FitExplan
 def explain_data(data: BoardData, held_out: Recording | None = None) -> BoardExplanation:
     """Explain one board whose recordings have the same settings.
 
-    Args:
-        data: the board's recordings.
-        held_out: a recording on which the named causes are tested; nothing is fitted to it.
+    The named causes are tested on `held_out`; nothing is fitted to it.
 
     Raises:
         InputError: there is no reference.
@@ -179,9 +175,7 @@ def explain_unit_boards(
 ) -> dict[BoardId, BoardExplanation | GyrorigError]:
     """Explain several boards on one pan-tilt unit together: causes of the unit, and of a board.
 
-    Args:
-        joint_data: of the boards.
-        held_out: a recording on which the named causes are tested; nothing is fitted to it.
+    The named causes are tested on `held_out`; nothing is fitted to it.
 
     Returns:
         Each board's explanation, or the error that prevents it.

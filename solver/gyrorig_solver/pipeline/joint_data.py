@@ -42,12 +42,7 @@ class JointData:
 
 
 def load_jointly(recordings: Sequence[Recording], boards: Sequence[str]) -> JointData:
-    """Load boards' samples, with a common time base for those on one bus.
-
-    Args:
-        recordings: in any order.
-        boards: by name; each is in each recording.
-    """
+    """Load boards' samples, with a common time base for those on one bus."""
     ordered = tuple(sorted(recordings, key=lambda recording: recording.start_ns))
     samples: dict[str, list[GyroSamples]] = {board: [] for board in boards}
     errors: dict[str, GyrorigError] = {}

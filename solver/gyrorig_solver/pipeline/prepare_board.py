@@ -76,11 +76,6 @@ def prepare_board(
 ) -> PreparedBoard:
     """Prepare a board on a unit, or at rest.
 
-    Args:
-        data: the board's recordings.
-        extend: causes of the catalogue to fit in addition to the base model.
-        named_terms: causes that a search named, to fit too.
-
     Raises:
         InputError: a recording has no reference.
         UsageError: the recordings cannot be solved together, or a cause is unknown.

@@ -43,11 +43,6 @@ def select_terms(
 ) -> TermSelection:
     """Return the causes to take into a fit of one board.
 
-    Args:
-        loaded: its recordings with samples and references.
-        extend: ids of the catalogue that were asked for.
-        named_terms: causes as a search named them.
-
     Raises:
         UsageError: an id is not known, or no fit can show that cause.
         InputError: the metadata say what cannot be.

@@ -112,12 +112,6 @@ class UnitKnowledge:
     ) -> UnitPosteriorDocument | None:
         """Write the next version of the unit, if the recordings add information to it.
 
-        Args:
-            recordings: that were solved.
-            board: whose rates they are.
-            information: on the unit.
-            settings: prior sizes and drift.
-
         Returns:
             The version that was written, if any.
         """

@@ -21,10 +21,6 @@ def cost(decision: ObservabilityAnalysis, criterion: Criterion) -> float:
 
     `worst` and `mean` look at the entries of the gain, `worst-factor` and `mean-factor` at
     scale, non-orthogonality and misalignment. What cannot be seen has its prior's.
-
-    Args:
-        decision: over gain, bias and time offset.
-        criterion: which parameters, and whether their largest or their mean.
     """
     if criterion.endswith("factor"):
         covariance = propagate_to_factors(

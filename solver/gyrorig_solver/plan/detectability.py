@@ -122,13 +122,7 @@ class DetectabilityReport:
 def predict_detectability(
     prediction: Prediction, sensor: SensorModel, site: Site | None = None
 ) -> DetectabilityReport:
-    """Predict the detectability of every cause under a program.
-
-    Args:
-        prediction: of the program.
-        sensor: as it was predicted for.
-        site: where the rig stands.
-    """
+    """Predict the detectability of every cause under a program."""
     states = signal_states(prediction.session, sensor, site or Site())
     causes = tuple(catalogue().values())
     testable = [

@@ -42,13 +42,7 @@ def causes_table(report: DetectabilityReport) -> str:
 
 
 def causes_summary(report: DetectabilityReport, program: str, causes: int) -> list[str]:
-    """Return counts, and the causes with the largest bias below their detectable size.
-
-    Args:
-        report: the prediction for the program.
-        program: its name.
-        causes: how many causes to name.
-    """
+    """Return counts, and the causes with the largest bias below their detectable size."""
     groups = _group_by_cause(report)
     detectable = sum(any(place.is_detectable for place in group) for _, group in groups)
     lines = [

@@ -17,11 +17,6 @@ def predictions_table(
 
     One program has a column with the largest contribution to each parameter. Without `details`,
     a parameter that no program determines has no row.
-
-    Args:
-        predictions: from noise.
-        totals: of the same programs.
-        details: with the gain's columns, from noise, and the number of observable parameters.
     """
     names = (
         f"{p.program.name}, {p.duration_s:.1f} s, {plural(p.move_count, 'move')}"

@@ -82,17 +82,8 @@ def find_program(
 ) -> PlanResult:
     """Search for the best program of the family within a time.
 
-    Args:
-        unit: what carries it out.
-        sensor: what is to be calibrated.
-        duration_s: how long the recording may last.
-        criterion: see `criterion.cost`.
-        seed: of the designs drawn.
-        progress: receives the current step.
-        aim: least uncertainties, or causes known by name.
-        site: where the rig stands; for causes.
-        prior: what is known of the rig; by default the shipped prior sizes. Without prior sizes
-            the search minimises the uncertainty from noise.
+    The designs are drawn with `seed`. Without prior sizes the search minimises the uncertainty from
+    noise.
 
     Raises:
         UsageError: no program of the family fits into so little time.

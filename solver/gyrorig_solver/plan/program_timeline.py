@@ -76,11 +76,6 @@ def simulate_program(
 ) -> ProgramTimeline:
     """Simulate how the daemon executes a program.
 
-    Args:
-        program: what shall be done.
-        unit: what can do it.
-        start_steps: where pan and tilt stand.
-
     Raises:
         UsageError: a step leaves the unit's limits or speeds; its number is in the text.
     """

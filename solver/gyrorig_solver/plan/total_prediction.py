@@ -64,14 +64,7 @@ class TotalPrediction:
 def predict_total(
     prediction: Prediction, sensor: SensorModel, site: Site, prior: PlanPrior
 ) -> TotalPrediction:
-    """Predict the total uncertainty of a calibration with a program.
-
-    Args:
-        prediction: of the program, from noise.
-        sensor: as it was predicted for.
-        site: where the rig stands.
-        prior: prior sizes, and what is known of the unit.
-    """
+    """Predict the total uncertainty of a calibration with a program."""
     states = signal_states(prediction.session, sensor, site)
     causes = _prior_causes(states, prior.settings)
     if not causes:

@@ -47,10 +47,6 @@ class TurnReference:
 def read_turns(events: Iterable[SessionEvent], origin_ns: int) -> TurnReference:
     """Return the complete turns and rests in the events of a recording.
 
-    Args:
-        events: in the order of the recording.
-        origin_ns: capture time of 0 s of the samples.
-
     Raises:
         InputError: the text of a turn is not valid.
     """

@@ -118,12 +118,7 @@ def angle_error_figure(data: FitDiagnostics, error_after_rad_s: FloatArray) -> s
 
 
 def allan_figure(data: FitDiagnostics, noise: Mapping[str, Sequence[float | None]]) -> str:
-    """Draw the Allan deviation of the residual, and that of the fitted noise model (dashed).
-
-    Args:
-        data: of the fit.
-        noise: coefficients of the document by name, per axis.
-    """
+    """Draw the Allan deviation of the residual, and that of the fitted noise model (dashed)."""
     figure, (panel,) = stacked_panels(1, 3.4)
     step_s, values = to_uniform_grid(data.time_s, data.residual_rad_s)
     tau_s, deviation = integration_error.allan_deviation(values, step_s)
@@ -177,12 +172,7 @@ def residual_by_angle_figure(data: FitDiagnostics, axis: int) -> str:
 
 
 def clock_figure(course: ClockTrace, bound_s: float) -> str:
-    """Draw the latency of the samples, and the wander of their times from a constant rate.
-
-    Args:
-        course: of the board's clock.
-        bound_s: clock-mapping uncertainty.
-    """
+    """Draw the latency of the samples, and the wander of their times from a constant rate."""
     figure, panels = stacked_panels(2, 4.0)
     late_panel, wander_panel = panels
     late_panel.band(

@@ -16,13 +16,7 @@ _ALLAN_FLOOR = 0.664  # of the coefficient B: sqrt(2 ln 2 / pi), IEEE Std 952 an
 def data_sheet_range(
     name: str, profile: SensorProfile | None, full_scale_dps: float | None
 ) -> tuple[float, float] | None:
-    """Return the lowest and highest value of a parameter, in the unit that is shown.
-
-    Args:
-        name: of the parameter, as in the document.
-        profile: of the sensor, None where there is none.
-        full_scale_dps: that the board was set to; the zero-rate limit depends on it.
-    """
+    """Return the lowest and highest value of a parameter, in the unit that is shown."""
     if profile is None:
         return None
     cause, _, parameter = name.partition(".")

@@ -47,12 +47,7 @@ DEPENDENCE_CAPTIONS = {
 
 
 def findings_view(document: FindingsDocument, figures: Mapping[str, str]) -> dict[str, Any]:
-    """Return the texts, rows and figures for the template.
-
-    Args:
-        document: the findings.
-        figures: SVG texts by key; figures without a key are omitted.
-    """
+    """Return the texts, rows and figures for the template."""
     heading, text = verdict_words(document)
     if document.causes:
         heading += ": " + "; ".join(_cause_text(cause) for cause in document.causes)

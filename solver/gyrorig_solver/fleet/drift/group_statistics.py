@@ -47,13 +47,7 @@ class BoardGroup:
 def board_groups(
     boards: LatestCalibrations, populations: dict[tuple[str, str], Population], states: list[str]
 ) -> list[BoardGroup]:
-    """Return every group of at least `MIN_BOARDS` boards, by kind, sensor and name.
-
-    Args:
-        boards: their latest calibrations.
-        populations: of all boards of a sensor, by sensor and parameter.
-        states: latest status of each board.
-    """
+    """Return every group of at least `MIN_BOARDS` boards, by kind, sensor and name."""
     sensors, states_of_boards = np.array(boards.sensor), np.array(states)
     groups: list[BoardGroup] = []
     for kind in GROUP_KINDS:

@@ -106,10 +106,6 @@ def slope_spread(corrected: TemperatureCorrection, scatter_variance: float) -> F
 
     The uncertainty from calibrations and nights is subtracted. The median of the squares is used,
     because a board that drifts has no meaningful slope.
-
-    Args:
-        corrected: from `correct_temperature`.
-        scatter_variance: from night to night, in addition to the calibrations' own.
     """
     spread = np.zeros(corrected.value.shape[1])
     for (of_kind, _), fitted in zip(corrected.slope_variances, corrected.board_slopes, strict=True):

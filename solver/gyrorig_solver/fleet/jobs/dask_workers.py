@@ -54,10 +54,6 @@ def dask_pools(
 ) -> Iterator[list[WorkerPool]]:
     """Provide one pool for all workers of a scheduler.
 
-    Args:
-        address: `tls://HOST:PORT`, or `tcp://127.0.0.1:PORT`.
-        certificates: for TLS.
-
     Raises:
         UsageError: the address is open to others, or certificates for TLS are missing.
         BusyError: no scheduler answers, or it has no workers.

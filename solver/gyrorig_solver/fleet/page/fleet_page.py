@@ -50,10 +50,7 @@ def write_fleet_page(
 ) -> str:
     """Write the fleet's page and return where its `index.html` is.
 
-    Args:
-        store: whose index has the histories; the page goes into its folder `fleet`.
-        overview: what to show.
-        out: another folder for the page; created if it does not exist.
+    The page goes into the folder `fleet` of the store, or into `out`.
 
     Raises:
         MachineError: the folder or the bucket cannot be written.

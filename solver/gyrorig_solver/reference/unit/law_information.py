@@ -76,12 +76,7 @@ class LawProfile:
 
     @classmethod
     def of(cls, law: LawInformation, moves: ArrowheadMatrix) -> Self:
-        """Eliminate the moves.
-
-        Args:
-            law: at the fitted moves.
-            moves: the information about the moves.
-        """
+        """Eliminate the moves."""
         columns = [solve_arrowhead(moves, column) for column in law.cross.T]
         shift = -np.stack(columns, axis=1)
         information = law.law_block + law.cross.T @ shift

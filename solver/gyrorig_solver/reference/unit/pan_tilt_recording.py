@@ -44,9 +44,7 @@ def read_pan_tilt_reference(
 
     If the commands do not explain most counts in motion, the counts alone are used.
 
-    Args:
-        recording: with `/ptu/position`, `/ptu/command` and the metadata `gyrorig.ptu`.
-        origin_ns: capture time of 0 s.
+    0 s is the capture time `origin_ns`.
 
     Raises:
         InputError: there are too few polls, or the metadata lack a setting of the unit.

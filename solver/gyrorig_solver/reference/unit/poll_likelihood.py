@@ -99,15 +99,7 @@ class PollLikelihood:
         count_parameters: CountParameters,
         law: MotionLaw,
     ) -> Self:
-        """Evaluate all polls.
-
-        Args:
-            table: the moves with the limits of the law.
-            counts: of pan and tilt.
-            parameters: of the moves.
-            count_parameters: of the counts.
-            law: that the unit executes.
-        """
+        """Evaluate all polls."""
         trajectories = build_executed_trajectories(table, parameters, law)
         pieces = tuple(
             _evaluate_polls(

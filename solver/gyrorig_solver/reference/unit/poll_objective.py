@@ -62,14 +62,7 @@ class PollObjective:
         spacing_s: FloatArray,
         prior: GaussianWeights,
     ) -> Self:
-        """Return the objective with the weights of an evaluated likelihood.
-
-        Args:
-            likelihood: at the fitted values.
-            scatter_s: standard deviation of the sampling times.
-            spacing_s: time between the polls of each move.
-            prior: of the unknowns.
-        """
+        """Return the objective with the weights of an evaluated likelihood."""
         pieces = tuple(
             _WeightedCounts(
                 int(likelihood.table.axis[piece.move[0]]),

@@ -25,13 +25,7 @@ DETENT_VARIANCE = 0.1**2
 def likeliest_rest_variance(
     equations: BandedNormalEquations, rests: slice, rest_steps: FloatArray
 ) -> float:
-    """Return the variance of the rests with the largest likelihood of the data.
-
-    Args:
-        equations: the system of all unknowns, without a prior of the rests.
-        rests: indices of the rests.
-        rest_steps: current values of the rests, steps.
-    """
+    """Return the variance of the rests with the largest likelihood of the data."""
     likelihood = [
         equations.log_evidence(rests, rest_steps, variance) for variance in VARIANCE_CANDIDATES
     ]

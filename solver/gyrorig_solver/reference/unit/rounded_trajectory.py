@@ -146,13 +146,7 @@ def _evaluate(polynomial: FloatArray, segment: IntArray, since_s: FloatArray) ->
 def build_executed_trajectories(
     table: MoveTable, parameters: MotionParameters, law: MotionLaw
 ) -> tuple[Trajectory, Trajectory]:
-    """Return the trajectories of pan and tilt under a motion law.
-
-    Args:
-        table: the moves with the limits of the law; see `MoveTable.with_law`.
-        parameters: of the moves.
-        law: provides the rounded corners.
-    """
+    """Return the trajectories of pan and tilt under a motion law."""
     pan, tilt = build_trajectories(table, parameters)
     return (
         RoundedTrajectory.of(pan, law.corner_s[0]),

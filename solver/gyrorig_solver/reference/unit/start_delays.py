@@ -16,10 +16,6 @@ _MAX_ERROR_STEPS = 50.0  # limit of the error of a count
 def initial_delays(table: MoveTable, counts: tuple[AxisCounts, AxisCounts]) -> FloatArray:
     """Return the delay that fits the counts of each move best, nan without polls in motion.
 
-    Args:
-        table: the m commanded moves.
-        counts: of pan and tilt.
-
     Returns:
         Seconds after the first command, shape (m,).
     """

@@ -235,13 +235,7 @@ class MotionReader:
         initial_steps: tuple[int, int],
         rest_count: RestCountLookup = lambda axis, after_s, before_s: None,
     ) -> None:
-        """Start with the settings in the recording's metadata and the counts at rest.
-
-        Args:
-            settings: by name of axis and setting.
-            initial_steps: pan and tilt at the start.
-            rest_count: function for the count of an axis at rest between two times.
-        """
+        """Start with the settings in the recording's metadata and the counts at rest."""
         self._initial_steps, self._rest_count = initial_steps, rest_count
         self._axes = {
             p: _AxisState(p, settings, s) for p, s in zip("PT", initial_steps, strict=True)
