@@ -37,8 +37,8 @@ from gyrorig_solver.calibration.calibration_document import (
 )
 from gyrorig_solver.calibration.verdict import judge_fit, profile_warnings
 from gyrorig_solver.data import FloatArray
-from gyrorig_solver.estimate import GyroFit
-from gyrorig_solver.estimate.gyro_fit import RecordingFit, StageLevel
+from gyrorig_solver.estimate import GyroFit, StageLevel
+from gyrorig_solver.estimate.gyro_fit import RecordingFit
 from gyrorig_solver.model import PARAMETER_GROUPS, factorise
 
 SAME_CLOCK_PPM = (

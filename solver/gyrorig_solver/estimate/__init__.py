@@ -29,6 +29,7 @@ from gyrorig_solver.estimate.gyro_fit import (
     FitDiagnostics,
     GyroFit,
     ObservabilityReport,
+    StageLevel,
 )
 from gyrorig_solver.estimate.information import (
     PARAMETER_NAMES,
@@ -90,6 +91,7 @@ __all__ = [
     "SessionFit",
     "SignalFunction",
     "Spectrum",
+    "StageLevel",
     "WhitenedSignals",
     "analyse_observability",
     "bin_spectrum",

@@ -22,8 +22,8 @@ from gyrorig_solver.estimate import (
     ConvergedFit,
     FittedTerm,
     GyroFit,
+    StageLevel,
 )
-from gyrorig_solver.estimate.gyro_fit import StageLevel
 from gyrorig_solver.estimate.motion_fit import create_session, solve_motion, summarize_motion_fit
 from gyrorig_solver.model import RecordingContext
 from gyrorig_solver.model.leveling import level_from_rests
