@@ -41,6 +41,12 @@ class SimulatedMotion:
     starts_s: np.ndarray
 
 
+def departures(motion: UnitMotion) -> list[int | None]:
+    """The move that ends each rest, by axis and time; None after the last move of an axis."""
+    moves = list(enumerate(motion.moves))
+    return [k for axis in (0, 1) for k in [*(k for k, m in moves if m.axis == axis), None]]
+
+
 def make(
     seed: int, moves: int = 10, off_steps: float = 0.0, change: bool = False
 ) -> SimulatedMotion:
@@ -93,7 +99,7 @@ def dense_fit(made: SimulatedMotion, near: MoveFit) -> Dense:
     """Return the dense solution, with the scatter of the instants that `near` found."""
     motion, polls = made.motion, made.polls
     first = np.concatenate([[0], np.cumsum([len(m.commands) for m in motion.moves])])
-    starts, rests = int(first[-1]), len(motion.rests)
+    starts, rests = int(first[-1]), len(departures(motion))
     speed = starts + rests
     ramp = speed + motion.speed_class_count
     size = ramp + 5
@@ -128,7 +134,7 @@ def dense_fit(made: SimulatedMotion, near: MoveFit) -> Dense:
             inside &= rate != 0.0
             at, position, rate = at[inside], position[inside], rate[inside]
             share, sign = course.progress(at), np.sign(rate)
-            before = next(starts + n for n, r in enumerate(motion.rests) if r.departure == k)
+            before = starts + departures(motion).index(k)
             model = position + (1 - share) * values[before] + share * values[before + 1]
             by = differentiate_move(move, values[rows], log_speed, log_ramp, at)
             jacobian = np.zeros((at.size, size))

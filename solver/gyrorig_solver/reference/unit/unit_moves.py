@@ -127,15 +127,6 @@ class Move:
         return plan_motion(float(self.from_steps), commands)
 
 
-@dataclass(frozen=True, slots=True)
-class AxisRest:
-    """One rest of one axis, between an arriving and a departing move."""
-
-    axis: int
-    arrival: int | None  # index of the move, None for the rest before the first
-    departure: int | None
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class UnitMotion:
     """All moves, and the spans of unknown motion."""
@@ -145,16 +136,6 @@ class UnitMotion:
     unknown_spans: tuple[tuple[float, float, str], ...]  # begin, end, reason
     speed_class_count: int
     count_resets: tuple[tuple[float, int, int], ...] = ()  # time, axis, count after homing
-
-    @property
-    def rests(self) -> tuple[AxisRest, ...]:
-        """All rests of both axes, sorted by axis and time."""
-        rests = []
-        for axis in (0, 1):
-            axis_moves = [k for k, move in enumerate(self.moves) if move.axis == axis]
-            pairs = zip([None, *axis_moves], [*axis_moves, None], strict=True)
-            rests += [AxisRest(axis, arrival, departure) for arrival, departure in pairs]
-        return tuple(rests)
 
 
 def with_start_times(moves: Iterable[Move], start_times_s: FloatArray) -> tuple[Move, ...]:
@@ -193,37 +174,16 @@ class _AxisState:
 
     def move(self) -> Move:
         """Return the current move as commanded."""
-        commands = self.commands
-        if self._planned_move is not None and self._planned_move[0].commands == tuple(commands):
-            move, self.end_s = self._planned_move
-            return move
-        profile = plan_motion(
-            float(self.steps),
-            [
-                ProfileCommand(
-                    command.command_time_s,
-                    command.kind,
-                    command.steps,
-                    self.limits(command.speed_steps_s),
-                )
-                for command in commands
-            ],
-        )
-        self.end_s = profile.end_s
-        move = Move(
-            self.index,
-            self.steps,
-            round(float(profile.start_steps[-1])),
-            tuple(commands),
-            self.acceleration or 1.0,
-            self.base_speed,
-        )
-        self._planned_move = move, profile.end_s
+        commands = tuple(self.commands)
+        if self._planned_move is None or self._planned_move[0].commands != commands:
+            acceleration = self.acceleration or 1.0
+            move = Move(self.index, self.steps, self.steps, commands, acceleration, self.base_speed)
+            no_change = np.zeros(1 + max(move.speed_classes))
+            profile = move.profile(move.start_times_s, no_change, 0.0)
+            to_steps = round(float(profile.start_steps[-1]))
+            self._planned_move = replace(move, to_steps=to_steps), profile.end_s
+        move, self.end_s = self._planned_move
         return move
-
-    def limits(self, speed_steps_s: float) -> MotionLimits:
-        """Return the limits of a command with a speed."""
-        return MotionLimits(speed_steps_s, self.acceleration or 1.0, self.base_speed)
 
 
 class MotionReader:
