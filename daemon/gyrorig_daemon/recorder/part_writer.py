@@ -114,14 +114,9 @@ class PartWriter:
     def write_message(
         self, topic: str, message: Message, log_ns: int, publish_ns: int, skipped: int = 0
     ) -> None:
-        """Write one message.
+        """Write one message, after `skipped` messages of its topic that were dropped.
 
-        Args:
-            topic: topic of the message.
-            message: what to record.
-            log_ns: capture time when it was complete.
-            publish_ns: capture time when it was measured.
-            skipped: messages of the topic before it that were dropped.
+        It was complete at the capture time `log_ns`, and measured at `publish_ns`.
 
         Raises:
             MachineError: the disk failed, and the settings do not tolerate that.
@@ -137,10 +132,7 @@ class PartWriter:
             self._write(self._writer, record)
 
     def do_due_work(self, now_ns: int) -> None:
-        """Do what is due; never waits for the disk.
-
-        Args:
-            now_ns: any monotonic clock.
+        """Do what is due by any monotonic clock; never waits for the disk.
 
         Raises:
             MachineError: the disk failed, and the settings do not tolerate that.

@@ -15,7 +15,7 @@ import msgspec
 
 from gyrorig_solver.calibration import CalibrationDocument
 from gyrorig_solver.calibration.calibration_wording import value_std_pairs
-from gyrorig_solver.model.parameter_units import PARAMETER_GROUPS
+from gyrorig_solver.model import PARAMETER_GROUPS
 
 WorkStatus = Literal["ok", "rejected", "failed", "quarantined"]
 
