@@ -114,6 +114,40 @@ class PulseTemplates:
     values: FloatArray  # (r, m, 3)
 
 
+def size_parameter(
+    name: str,
+    unit: str,
+    components: tuple[str, ...] = (),
+    *,
+    typical: float,
+    limit: float,
+    prior_std: float,
+    lower: float | None = None,
+    factor: float = 1.0,
+) -> TermParameter:
+    """Return a size within ±limit, or from `lower` to the limit; all numbers times `factor`."""
+    return TermParameter(
+        name,
+        unit,
+        typical_size=typical * factor,
+        lower=-limit * factor if lower is None else lower * factor,
+        upper=limit * factor,
+        prior_std=prior_std * factor,
+        components=components,
+    )
+
+
+EVENT_TIME = TermParameter(
+    "time",
+    "s",
+    typical_size=1.0,
+    lower=-np.inf,
+    upper=np.inf,
+    prior_std=np.inf,
+    role="event",
+)
+
+
 class Term(ABC):
     """One physical cause: a parametric model of its effect on the measured rate.
 

@@ -16,12 +16,7 @@ from gyrorig_solver.model.replanned_moves import (
     simple_moves,
 )
 from gyrorig_solver.model.signal_state import SignalState
-from gyrorig_solver.model.term import (
-    EDGE_COVARIATES,
-    NO_ANGLES,
-    Stage,
-    TermParameter,
-)
+from gyrorig_solver.model.term import EDGE_COVARIATES, NO_ANGLES, size_parameter
 from gyrorig_solver.model.term_kinds import AngleTerm, scan_grid
 from gyrorig_solver.model.value_format import PAN_TILT, format_list
 
@@ -31,18 +26,10 @@ class AccelerationError(AngleTerm):
 
     cause = "acceleration_error"
     title = "The acceleration differs from the command"
-    stage: Stage = "profile"
+    stage = "profile"
     law_quantity = "acceleration"
     parameters = (
-        TermParameter(
-            name="share",
-            unit="1",
-            typical_size=5e-3,
-            lower=-0.5,
-            upper=1.0,
-            prior_std=0.1,
-            components=PAN_TILT,
-        ),
+        size_parameter("share", "1", PAN_TILT, typical=5e-3, lower=-0.5, limit=1.0, prior_std=0.1),
     )
     confused_with = ("s_curve", "base_speed_jump", "clock_offset")
     remedy = "query the acceleration of the unit (commands PA and TA) during the recording"

@@ -14,14 +14,7 @@ import numpy as np
 
 from gyrorig_solver.data import FloatArray
 from gyrorig_solver.model.signal_state import SignalState
-from gyrorig_solver.model.term import (
-    NO_ANGLES,
-    BinnedDependence,
-    Part,
-    Scope,
-    Stage,
-    TermParameter,
-)
+from gyrorig_solver.model.term import NO_ANGLES, BinnedDependence, size_parameter
 from gyrorig_solver.model.term_kinds import NonlinearTerm
 from gyrorig_solver.model.value_format import DEG
 
@@ -31,18 +24,11 @@ class AxisNonOrthogonality(NonlinearTerm):
 
     cause = "axis_nonorthogonality"
     title = "The pan and tilt axes are not perpendicular"
-    part: Part = "ptu"
-    stage: Stage = "axes"
-    scope: Scope = "unit"
+    part = "ptu"
+    stage = "axes"
+    scope = "unit"
     parameters = (
-        TermParameter(
-            name="angle",
-            unit="rad",
-            typical_size=0.15 * DEG,
-            lower=-2.0 * DEG,
-            upper=2.0 * DEG,
-            prior_std=0.5 * DEG,
-        ),
+        size_parameter("angle", "rad", typical=0.15, limit=2.0, prior_std=0.5, factor=DEG),
     )
     confused_with = ("board_slip", "tilt_sag")
     remedy = "have the tilt axis shimmed, or let `gyrorig solve` fit this cause"

@@ -8,7 +8,7 @@ import numpy as np
 
 from gyrorig_solver.data import FloatArray
 from gyrorig_solver.model.signal_state import SignalState
-from gyrorig_solver.model.term import Kind, Part, Stage, TermParameter
+from gyrorig_solver.model.term import size_parameter
 from gyrorig_solver.model.term_kinds import LinearTerm
 
 PAIRS = ((0, 1), (1, 2), (2, 0))
@@ -19,18 +19,12 @@ class AxisSwap(LinearTerm):
 
     cause = "axis_swap"
     title = "Two axes are swapped"
-    part: Part = "link"
-    stage: Stage = "readout"
-    kind: Kind = "gauge"
+    part = "link"
+    stage = "readout"
+    kind = "gauge"
     parameters = (
-        TermParameter(
-            "exchanged",
-            "1",
-            typical_size=1.0,
-            lower=0.0,
-            upper=1.0,
-            prior_std=1.0,
-            components=("xy", "yz", "zx"),
+        size_parameter(
+            "exchanged", "1", ("xy", "yz", "zx"), typical=1.0, lower=0.0, limit=1.0, prior_std=1.0
         ),
     )
     confused_with = ("sign_flip",)

@@ -18,11 +18,7 @@ import numpy as np
 from gyrorig_solver.data import FloatArray
 from gyrorig_solver.model.drive_effects import apply_play
 from gyrorig_solver.model.signal_state import SignalState
-from gyrorig_solver.model.term import (
-    EDGE_COVARIATES,
-    Stage,
-    TermParameter,
-)
+from gyrorig_solver.model.term import EDGE_COVARIATES, TermParameter, size_parameter
 from gyrorig_solver.model.term_kinds import AngleTerm, scan_grid
 from gyrorig_solver.model.value_format import DEG, PAN_TILT, format_list
 
@@ -32,16 +28,10 @@ class Backlash(AngleTerm):
 
     cause = "backlash"
     title = "The gears have backlash"
-    stage: Stage = "play"
+    stage = "play"
     parameters = (
-        TermParameter(
-            name="gap",
-            unit="rad",
-            typical_size=0.05 * DEG,
-            lower=0.0,
-            upper=1.0 * DEG,
-            prior_std=0.3 * DEG,
-            components=PAN_TILT,
+        size_parameter(
+            "gap", "rad", PAN_TILT, typical=0.05, lower=0.0, limit=1.0, prior_std=0.3, factor=DEG
         ),
         TermParameter(
             name="begin",

@@ -17,10 +17,7 @@ from gyrorig_solver.model.drive_effects import second_derivative
 from gyrorig_solver.model.signal_arrays import zero_signals
 from gyrorig_solver.model.signal_state import SignalState
 from gyrorig_solver.model.speed_jumps import angle_of_jumps, find_speed_jumps, jump_responses
-from gyrorig_solver.model.term import (
-    EDGE_COVARIATES,
-    TermParameter,
-)
+from gyrorig_solver.model.term import EDGE_COVARIATES, size_parameter
 from gyrorig_solver.model.term_kinds import LinearAngleTerm
 from gyrorig_solver.model.value_format import PAN_TILT, format_list
 
@@ -32,16 +29,10 @@ class BaseCompliance(LinearAngleTerm):
 
     cause = "base_compliance"
     title = "The base of the unit is compliant"
-    depends_on_upstream: bool = True
+    depends_on_upstream = True
     parameters = (
-        TermParameter(
-            name="coefficient",
-            unit="s^2",
-            typical_size=1e-4,
-            lower=0.0,
-            upper=1e-2,
-            prior_std=5e-3,
-            components=PAN_TILT,
+        size_parameter(
+            "coefficient", "s^2", PAN_TILT, typical=1e-4, lower=0.0, limit=1e-2, prior_std=5e-3
         ),
     )
     confused_with = ("s_curve", "low_pass_lag", "ringing", "acceleration_error", "backlash")

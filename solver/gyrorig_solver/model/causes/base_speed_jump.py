@@ -15,11 +15,7 @@ from gyrorig_solver.model.causes.acceleration_error import (
     replan_motion,
 )
 from gyrorig_solver.model.signal_state import SignalState
-from gyrorig_solver.model.term import (
-    EDGE_COVARIATES,
-    Stage,
-    TermParameter,
-)
+from gyrorig_solver.model.term import EDGE_COVARIATES, size_parameter
 from gyrorig_solver.model.term_kinds import AngleTerm, scan_grid
 from gyrorig_solver.model.value_format import DEG, PAN_TILT, format_list
 
@@ -29,17 +25,18 @@ class BaseSpeedJump(AngleTerm):
 
     cause = "base_speed_jump"
     title = "The base speed differs from the command"
-    stage: Stage = "profile"
+    stage = "profile"
     law_quantity = "base_speed"
     parameters = (
-        TermParameter(
-            name="speed",
-            unit="rad/s",
-            typical_size=2.9 * DEG,
+        size_parameter(
+            "speed",
+            "rad/s",
+            PAN_TILT,
+            typical=2.9,
             lower=0.0,
-            upper=30.0 * DEG,
-            prior_std=10.0 * DEG,
-            components=PAN_TILT,
+            limit=30.0,
+            prior_std=10.0,
+            factor=DEG,
         ),
     )
     confused_with = ("s_curve", "acceleration_error", "low_pass_lag", "clock_offset")

@@ -8,13 +8,7 @@ L3G4200D's 0.03 dps/K, as much as a warm-up.
 from gyrorig_solver.data import FloatArray
 from gyrorig_solver.model.signal_arrays import on_all_axes, split_axes
 from gyrorig_solver.model.signal_state import SignalState
-from gyrorig_solver.model.term import (
-    BinnedDependence,
-    Part,
-    Scope,
-    Stage,
-    TermParameter,
-)
+from gyrorig_solver.model.term import BinnedDependence, size_parameter
 from gyrorig_solver.model.term_kinds import LinearTerm
 from gyrorig_solver.model.value_format import DEG, XYZ, format_list
 
@@ -26,18 +20,12 @@ class BiasRamp(LinearTerm):
 
     cause = "bias_ramp"
     title = "The bias drifts steadily"
-    part: Part = "sensor"
-    stage: Stage = "bias"
-    scope: Scope = "recording"
+    part = "sensor"
+    stage = "bias"
+    scope = "recording"
     parameters = (
-        TermParameter(
-            name="slope",
-            unit="rad/s^2",
-            typical_size=_TYPICAL,
-            lower=-100.0 * _TYPICAL,
-            upper=100.0 * _TYPICAL,
-            prior_std=50.0 * _TYPICAL,
-            components=XYZ,
+        size_parameter(
+            "slope", "rad/s^2", XYZ, typical=1.0, limit=100.0, prior_std=50.0, factor=_TYPICAL
         ),
     )
     confused_with = ("thermal_bias", "warm_up", "bias_random_walk", "bias_step")

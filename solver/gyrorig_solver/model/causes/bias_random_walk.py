@@ -8,12 +8,7 @@ only where K is far above the value that is usual for the part.
 import numpy as np
 
 from gyrorig_solver.data import FloatArray
-from gyrorig_solver.model.term import (
-    BinnedDependence,
-    Kind,
-    Part,
-    TermParameter,
-)
+from gyrorig_solver.model.term import BinnedDependence, size_parameter
 from gyrorig_solver.model.term_kinds import ZeroMeanTerm
 from gyrorig_solver.model.value_format import DEG, XYZ, format_list
 
@@ -23,17 +18,18 @@ class BiasRandomWalk(ZeroMeanTerm):
 
     cause = "bias_random_walk"
     title = "The bias follows a random walk"
-    part: Part = "sensor"
-    kind: Kind = "stochastic"
+    part = "sensor"
+    kind = "stochastic"
     parameters = (
-        TermParameter(
-            name="level",
-            unit="rad/s/sqrt(s)",
-            typical_size=1e-3 * DEG,
+        size_parameter(
+            "level",
+            "rad/s/sqrt(s)",
+            XYZ,
+            typical=1e-3,
             lower=0.0,
-            upper=0.1 * DEG,
-            prior_std=0.01 * DEG,
-            components=XYZ,
+            limit=0.1,
+            prior_std=0.01,
+            factor=DEG,
         ),
     )
     confused_with = ("bias_ramp", "warm_up", "thermal_bias", "bias_step")

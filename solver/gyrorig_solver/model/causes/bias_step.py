@@ -4,18 +4,10 @@ y_i += s_i from the event on: 10 to 50 mdeg/s. A knock, a changed supply, or a p
 itself again can cause it (up to 0.4 rad/s in a flight log).
 """
 
-import numpy as np
-
 from gyrorig_solver.data import FloatArray
 from gyrorig_solver.model.signal_arrays import on_all_axes, split_axes
 from gyrorig_solver.model.signal_state import SignalState
-from gyrorig_solver.model.term import (
-    BinnedDependence,
-    Part,
-    Scope,
-    Stage,
-    TermParameter,
-)
+from gyrorig_solver.model.term import EVENT_TIME, BinnedDependence, size_parameter
 from gyrorig_solver.model.term_kinds import LinearTerm, event_times, scan_grid, step_signal
 from gyrorig_solver.model.value_format import DEG, XYZ, format_list
 
@@ -27,28 +19,12 @@ class BiasStep(LinearTerm):
 
     cause = "bias_step"
     title = "The bias stepped"
-    part: Part = "sensor"
-    stage: Stage = "bias"
-    scope: Scope = "recording"
+    part = "sensor"
+    stage = "bias"
+    scope = "recording"
     parameters = (
-        TermParameter(
-            name="step",
-            unit="rad/s",
-            typical_size=0.03 * DEG,
-            lower=-25.0 * DEG,
-            upper=25.0 * DEG,
-            prior_std=2.0 * DEG,
-            components=XYZ,
-        ),
-        TermParameter(
-            "time",
-            "s",
-            typical_size=1.0,
-            lower=-np.inf,
-            upper=np.inf,
-            prior_std=np.inf,
-            role="event",
-        ),
+        size_parameter("step", "rad/s", XYZ, typical=0.03, limit=25.0, prior_std=2.0, factor=DEG),
+        EVENT_TIME,
     )
     confused_with = ("bias_ramp", "thermal_bias", "warm_up", "bias_random_walk")
     remedy = "check the board's supply, load and light at that moment, and record again"

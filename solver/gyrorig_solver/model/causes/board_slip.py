@@ -10,13 +10,7 @@ from gyrorig_solver.data import FloatArray
 from gyrorig_solver.model.gain_matrix import cross_matrix, rotation_matrix
 from gyrorig_solver.model.signal_arrays import axis_rows
 from gyrorig_solver.model.signal_state import SignalState
-from gyrorig_solver.model.term import (
-    BinnedDependence,
-    Part,
-    Scope,
-    Stage,
-    TermParameter,
-)
+from gyrorig_solver.model.term import EVENT_TIME, BinnedDependence, size_parameter
 from gyrorig_solver.model.term_kinds import NonlinearTerm, event_times, scan_grid, step_signal
 from gyrorig_solver.model.value_format import DEG, XYZ, format_list
 
@@ -28,28 +22,12 @@ class BoardSlip(NonlinearTerm):
 
     cause = "board_slip"
     title = "The board slipped on its mount"
-    part: Part = "mount"
-    stage: Stage = "mount"
-    scope: Scope = "recording"
+    part = "mount"
+    stage = "mount"
+    scope = "recording"
     parameters = (
-        TermParameter(
-            name="turn",
-            unit="rad",
-            typical_size=0.3 * DEG,
-            lower=-10.0 * DEG,
-            upper=10.0 * DEG,
-            prior_std=2.0 * DEG,
-            components=XYZ,
-        ),
-        TermParameter(
-            "time",
-            "s",
-            typical_size=1.0,
-            lower=-np.inf,
-            upper=np.inf,
-            prior_std=np.inf,
-            role="event",
-        ),
+        size_parameter("turn", "rad", XYZ, typical=0.3, limit=10.0, prior_std=2.0, factor=DEG),
+        EVENT_TIME,
     )
     confused_with = ("thermal_scale", "axis_nonorthogonality", "lost_steps")
     remedy = (

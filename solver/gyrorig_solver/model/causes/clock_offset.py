@@ -8,14 +8,7 @@ import numpy as np
 
 from gyrorig_solver.data import FloatArray
 from gyrorig_solver.model.signal_state import SignalState
-from gyrorig_solver.model.term import (
-    BinnedDependence,
-    Kind,
-    Part,
-    Scope,
-    Stage,
-    TermParameter,
-)
+from gyrorig_solver.model.term import BinnedDependence, TermParameter
 from gyrorig_solver.model.term_kinds import LinearTerm
 
 
@@ -24,10 +17,10 @@ class ClockOffset(LinearTerm):
 
     cause = "clock_offset"
     title = "The samples have a time offset"
-    part: Part = "clock"
-    stage: Stage = "clock"
-    kind: Kind = "gauge"
-    scope: Scope = "recording"
+    part = "clock"
+    stage = "clock"
+    kind = "gauge"
+    scope = "recording"
     parameters = (
         TermParameter("offset", "s", typical_size=5e-3, lower=-0.5, upper=0.5, prior_std=0.1),
     )

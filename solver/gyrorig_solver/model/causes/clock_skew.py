@@ -11,11 +11,7 @@ import numpy as np
 
 from gyrorig_solver.data import FloatArray
 from gyrorig_solver.model.signal_state import SignalState
-from gyrorig_solver.model.term import (
-    BinnedDependence,
-    Scope,
-    TermParameter,
-)
+from gyrorig_solver.model.term import BinnedDependence, TermParameter
 from gyrorig_solver.model.term_kinds import TimeTerm, scan_grid
 
 
@@ -24,7 +20,7 @@ class ClockSkew(TimeTerm):
 
     cause = "clock_skew"
     title = "The clocks drift apart"
-    scope: Scope = "recording"
+    scope = "recording"
     parameters = (
         TermParameter("rate", "1", typical_size=3e-5, lower=-0.1, upper=0.1, prior_std=0.02),
     )

@@ -10,11 +10,7 @@ import numpy as np
 
 from gyrorig_solver.data import FloatArray
 from gyrorig_solver.model.signal_state import SignalState
-from gyrorig_solver.model.term import (
-    BinnedDependence,
-    Scope,
-    TermParameter,
-)
+from gyrorig_solver.model.term import EVENT_TIME, BinnedDependence, TermParameter
 from gyrorig_solver.model.term_kinds import TimeTerm, event_times, scan_grid
 
 SCAN_TIMES = 40  # in the template bank, over a recording
@@ -25,18 +21,10 @@ class ClockStep(TimeTerm):
 
     cause = "clock_step"
     title = "A clock stepped"
-    scope: Scope = "recording"
+    scope = "recording"
     parameters = (
         TermParameter("step", "s", typical_size=2e-3, lower=-1.0, upper=1.0, prior_std=0.1),
-        TermParameter(
-            "time",
-            "s",
-            typical_size=1.0,
-            lower=-np.inf,
-            upper=np.inf,
-            prior_std=np.inf,
-            role="event",
-        ),
+        EVENT_TIME,
     )
     confused_with = ("lost_samples", "clock_skew", "lost_steps")
     remedy = (

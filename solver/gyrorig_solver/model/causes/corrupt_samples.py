@@ -7,7 +7,7 @@ lets none through.
 """
 
 from gyrorig_solver.data import FloatArray
-from gyrorig_solver.model.term import Kind, Part, Scope, TermParameter
+from gyrorig_solver.model.term import TermParameter
 from gyrorig_solver.model.term_kinds import ZeroMeanTerm
 
 
@@ -16,9 +16,9 @@ class CorruptSamples(ZeroMeanTerm):
 
     cause = "corrupt_samples"
     title = "Data words are corrupted"
-    part: Part = "link"
-    kind: Kind = "raw"
-    scope: Scope = "recording"
+    part = "link"
+    kind = "raw"
+    scope = "recording"
     parameters = (
         TermParameter("share", "1", typical_size=1e-3, lower=0.0, upper=1.0, prior_std=0.1),
     )

@@ -14,13 +14,7 @@ import numpy as np
 from gyrorig_solver.data import BoolArray, FloatArray
 from gyrorig_solver.model.signal_arrays import split_axes
 from gyrorig_solver.model.signal_state import SignalState
-from gyrorig_solver.model.term import (
-    RATE_COVARIATES,
-    BinnedDependence,
-    Part,
-    Stage,
-    TermParameter,
-)
+from gyrorig_solver.model.term import RATE_COVARIATES, BinnedDependence, size_parameter
 from gyrorig_solver.model.term_kinds import NonlinearTerm, scan_grid
 from gyrorig_solver.model.value_format import DEG, XYZ, format_list
 
@@ -37,18 +31,12 @@ class DeadZone(NonlinearTerm):
 
     cause = "dead_zone"
     title = "Slow rotation is not measured (dead band)"
-    part: Part = "sensor"
-    stage: Stage = "threshold"
-    depends_on_upstream: bool = True
+    part = "sensor"
+    stage = "threshold"
+    depends_on_upstream = True
     parameters = (
-        TermParameter(
-            name="threshold",
-            unit="rad/s",
-            typical_size=0.1 * DEG,
-            lower=0.0,
-            upper=5.0 * DEG,
-            prior_std=1.0 * DEG,
-            components=XYZ,
+        size_parameter(
+            "threshold", "rad/s", XYZ, typical=0.1, lower=0.0, limit=5.0, prior_std=1.0, factor=DEG
         ),
     )
     confused_with = ("scale_cubic", "motor_coupling")

@@ -16,15 +16,7 @@ import numpy as np
 from gyrorig_solver.data import FloatArray
 from gyrorig_solver.model.recording_context import Site
 from gyrorig_solver.model.signal_state import SignalState
-from gyrorig_solver.model.term import (
-    NO_ANGLES,
-    BinnedDependence,
-    Kind,
-    Part,
-    Scope,
-    Stage,
-    TermParameter,
-)
+from gyrorig_solver.model.term import NO_ANGLES, BinnedDependence, TermParameter
 from gyrorig_solver.model.term_kinds import LinearTerm
 from gyrorig_solver.model.value_format import DEG
 
@@ -36,10 +28,10 @@ class EarthRotation(LinearTerm):
 
     cause = "earth_rotation"
     title = "The gyroscope measures the Earth's rotation"
-    part: Part = "environment"
-    stage: Stage = "axes"
-    kind: Kind = "known"
-    scope: Scope = "recording"
+    part = "environment"
+    stage = "axes"
+    kind = "known"
+    scope = "recording"
     parameters = (
         TermParameter(
             name="rate",

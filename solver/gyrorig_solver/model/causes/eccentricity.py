@@ -10,25 +10,13 @@ import numpy as np
 
 from gyrorig_solver.data import FloatArray
 from gyrorig_solver.model.signal_state import SignalState
-from gyrorig_solver.model.term import (
-    BinnedDependence,
-    Stage,
-    TermParameter,
-)
+from gyrorig_solver.model.term import BinnedDependence, TermParameter, size_parameter
 from gyrorig_solver.model.term_kinds import LinearAngleTerm
 from gyrorig_solver.model.value_format import DEG
 
 
 def _parameter(name: str) -> TermParameter:
-    return TermParameter(
-        name=name,
-        unit="rad",
-        typical_size=0.05 * DEG,
-        lower=-1.0 * DEG,
-        upper=1.0 * DEG,
-        prior_std=0.3 * DEG,
-        components=("pan",),
-    )
+    return size_parameter(name, "rad", ("pan",), typical=0.05, limit=1.0, prior_std=0.3, factor=DEG)
 
 
 def _oval_parameter(name: str) -> TermParameter:
@@ -48,7 +36,7 @@ class Eccentricity(LinearAngleTerm):
 
     cause = "eccentricity"
     title = "The gear wheel is eccentric"
-    stage: Stage = "wheel"
+    stage = "wheel"
     parameters = (
         _parameter("cosine"),
         _parameter("sine"),

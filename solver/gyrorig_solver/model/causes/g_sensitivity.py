@@ -14,12 +14,7 @@ from gyrorig_solver.data import FloatArray
 from gyrorig_solver.model.recording_context import STANDARD_GRAVITY_M_S2
 from gyrorig_solver.model.signal_arrays import on_all_axes, split_axes, zero_signals
 from gyrorig_solver.model.signal_state import SignalState
-from gyrorig_solver.model.term import (
-    NO_ANGLES,
-    BinnedDependence,
-    Part,
-    TermParameter,
-)
+from gyrorig_solver.model.term import NO_ANGLES, BinnedDependence, size_parameter
 from gyrorig_solver.model.term_kinds import LinearTerm
 from gyrorig_solver.model.value_format import DEG, XYZ, format_list
 
@@ -33,16 +28,16 @@ class GSensitivity(LinearTerm):
 
     cause = "g_sensitivity"
     title = "Gravity changes the bias (g-sensitivity)"
-    part: Part = "sensor"
+    part = "sensor"
     parameters = (
-        TermParameter(
-            name="sensitivity",
-            unit="rad/s/(m/s^2)",
-            typical_size=0.1 * _DPS_PER_G,
-            lower=-2.0 * _DPS_PER_G,
-            upper=2.0 * _DPS_PER_G,
-            prior_std=1.0 * _DPS_PER_G,
-            components=tuple(row + column for row in XYZ for column in XYZ),
+        size_parameter(
+            "sensitivity",
+            "rad/s/(m/s^2)",
+            tuple(row + column for row in XYZ for column in XYZ),
+            typical=0.1,
+            limit=2.0,
+            prior_std=1.0,
+            factor=_DPS_PER_G,
         ),
     )
     confused_with = ("earth_rotation", "vibration_rectification", "thermal_bias")

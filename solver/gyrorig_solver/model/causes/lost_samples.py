@@ -10,11 +10,7 @@ import numpy as np
 from gyrorig_solver.data import FloatArray
 from gyrorig_solver.model.causes.clock_step import SCAN_TIMES, instants_after
 from gyrorig_solver.model.signal_state import SignalState
-from gyrorig_solver.model.term import (
-    BinnedDependence,
-    Scope,
-    TermParameter,
-)
+from gyrorig_solver.model.term import EVENT_TIME, BinnedDependence, TermParameter
 from gyrorig_solver.model.term_kinds import TimeTerm, event_times, scan_grid
 
 
@@ -23,7 +19,7 @@ class LostSamples(TimeTerm):
 
     cause = "lost_samples"
     title = "Samples are missing"
-    scope: Scope = "recording"
+    scope = "recording"
     parameters = (
         TermParameter(
             "count",
@@ -34,15 +30,7 @@ class LostSamples(TimeTerm):
             prior_std=100.0,
             is_integer=True,
         ),
-        TermParameter(
-            "time",
-            "s",
-            typical_size=1.0,
-            lower=-np.inf,
-            upper=np.inf,
-            prior_std=np.inf,
-            role="event",
-        ),
+        EVENT_TIME,
     )
     confused_with = ("clock_step", "clock_skew")
     remedy = (

@@ -14,7 +14,7 @@ import numpy as np
 from gyrorig_solver.data import FloatArray
 from gyrorig_solver.model.signal_arrays import zero_signals
 from gyrorig_solver.model.signal_state import SignalState
-from gyrorig_solver.model.term import PulseTemplates, Scope, Stage, TermParameter
+from gyrorig_solver.model.term import EVENT_TIME, PulseTemplates, size_parameter
 from gyrorig_solver.model.term_kinds import LinearAngleTerm, scan_grid
 from gyrorig_solver.model.value_format import DEG, PAN_TILT, format_list
 
@@ -82,27 +82,13 @@ class LostSteps(LinearAngleTerm):
 
     cause = "lost_steps"
     title = "The motor lost steps"
-    stage: Stage = "rotor"
-    scope: Scope = "recording"
+    stage = "rotor"
+    scope = "recording"
     parameters = (
-        TermParameter(
-            name="angle",
-            unit="rad",
-            typical_size=0.411 * DEG,
-            lower=-10.0 * DEG,
-            upper=10.0 * DEG,
-            prior_std=2.0 * DEG,
-            components=PAN_TILT,
+        size_parameter(
+            "angle", "rad", PAN_TILT, typical=0.411, limit=10.0, prior_std=2.0, factor=DEG
         ),
-        TermParameter(
-            "time",
-            "s",
-            typical_size=1.0,
-            lower=-np.inf,
-            upper=np.inf,
-            prior_std=np.inf,
-            role="event",
-        ),
+        EVENT_TIME,
     )
     confused_with = ("backlash", "clock_step", "board_slip")
     remedy = (

@@ -14,12 +14,7 @@ import numpy as np
 from gyrorig_solver.data import FloatArray
 from gyrorig_solver.model.low_pass import LowPass
 from gyrorig_solver.model.signal_state import SignalState
-from gyrorig_solver.model.term import (
-    EDGE_COVARIATES,
-    Part,
-    Stage,
-    TermParameter,
-)
+from gyrorig_solver.model.term import EDGE_COVARIATES, TermParameter
 from gyrorig_solver.model.term_kinds import NonlinearTerm, scan_grid
 
 MAX_CUTOFF_SHARE = 0.45  # of the grid rate: a digital filter cannot have a higher cut-off
@@ -30,8 +25,8 @@ class LowPassLag(NonlinearTerm):
 
     cause = "low_pass_lag"
     title = "The low-pass filter differs from the configuration"
-    part: Part = "sensor"
-    stage: Stage = "low_pass"
+    part = "sensor"
+    stage = "low_pass"
     parameters = (
         TermParameter("log_cutoff", "1", typical_size=0.3, lower=-1.6, upper=1.6, prior_std=1.0),
     )

@@ -13,24 +13,15 @@ from gyrorig_solver.model.term import (
     NO_ANGLES,
     RATE_COVARIATES,
     BinnedDependence,
-    Part,
-    Stage,
     TermParameter,
+    size_parameter,
 )
 from gyrorig_solver.model.term_kinds import LinearTerm
 from gyrorig_solver.model.value_format import DEG, XYZ, format_list
 
 
 def _parameter(name: str) -> TermParameter:
-    return TermParameter(
-        name=name,
-        unit="rad/s",
-        typical_size=0.02 * DEG,
-        lower=-1.0 * DEG,
-        upper=1.0 * DEG,
-        prior_std=0.5 * DEG,
-        components=XYZ,
-    )
+    return size_parameter(name, "rad/s", XYZ, typical=0.02, limit=1.0, prior_std=0.5, factor=DEG)
 
 
 class MotorCoupling(LinearTerm):
@@ -38,8 +29,8 @@ class MotorCoupling(LinearTerm):
 
     cause = "motor_coupling"
     title = "A running motor changes the bias"
-    part: Part = "sensor"
-    stage: Stage = "bias"
+    part = "sensor"
+    stage = "bias"
     parameters = (_parameter("pan"), _parameter("tilt"))
     confused_with = (
         "scale_asymmetry",

@@ -6,7 +6,7 @@ rare. In the mean it is a lag of share/2 periods, which is part of the time offs
 """
 
 from gyrorig_solver.data import FloatArray
-from gyrorig_solver.model.term import Kind, Part, Scope, TermParameter
+from gyrorig_solver.model.term import TermParameter
 from gyrorig_solver.model.term_kinds import ZeroMeanTerm
 
 
@@ -15,9 +15,9 @@ class RepeatedSamples(ZeroMeanTerm):
 
     cause = "repeated_samples"
     title = "Samples are repeated"
-    part: Part = "clock"
-    kind: Kind = "raw"
-    scope: Scope = "recording"
+    part = "clock"
+    kind = "raw"
+    scope = "recording"
     parameters = (
         TermParameter("share", "1", typical_size=0.1, lower=0.0, upper=1.0, prior_std=1.0),
     )

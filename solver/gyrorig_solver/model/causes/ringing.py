@@ -10,10 +10,7 @@ import numpy as np
 from gyrorig_solver.data import FloatArray
 from gyrorig_solver.model.drive_effects import resonance_deflection
 from gyrorig_solver.model.signal_state import SignalState
-from gyrorig_solver.model.term import (
-    EDGE_COVARIATES,
-    TermParameter,
-)
+from gyrorig_solver.model.term import EDGE_COVARIATES, TermParameter, size_parameter
 from gyrorig_solver.model.term_kinds import LinearAngleTerm, scan_grid
 from gyrorig_solver.model.value_format import PAN_TILT, format_list
 
@@ -25,17 +22,9 @@ class Ringing(LinearAngleTerm):
 
     cause = "ringing"
     title = "The structure rings after each move"
-    depends_on_upstream: bool = True
+    depends_on_upstream = True
     parameters = (
-        TermParameter(
-            name="share",
-            unit="1",
-            typical_size=0.05,
-            lower=0.0,
-            upper=2.0,
-            prior_std=1.0,
-            components=PAN_TILT,
-        ),
+        size_parameter("share", "1", PAN_TILT, typical=0.05, lower=0.0, limit=2.0, prior_std=1.0),
         TermParameter(
             name="frequency",
             unit="Hz",

@@ -12,11 +12,7 @@ from gyrorig_solver.data import FloatArray
 from gyrorig_solver.model.causes.acceleration_error import reason_without_profiles
 from gyrorig_solver.model.drive_effects import moving_average
 from gyrorig_solver.model.signal_state import SignalState
-from gyrorig_solver.model.term import (
-    EDGE_COVARIATES,
-    Stage,
-    TermParameter,
-)
+from gyrorig_solver.model.term import EDGE_COVARIATES, size_parameter
 from gyrorig_solver.model.term_kinds import AngleTerm, scan_grid
 from gyrorig_solver.model.value_format import PAN_TILT, format_list
 
@@ -26,19 +22,11 @@ class SCurve(AngleTerm):
 
     cause = "s_curve"
     title = "The controller rounds its speed ramps"
-    stage: Stage = "motor"
+    stage = "motor"
     law_quantity = "corner"
     starts_at_typical_size = True
     parameters = (
-        TermParameter(
-            name="length",
-            unit="s",
-            typical_size=0.03,
-            lower=0.0,
-            upper=0.5,
-            prior_std=0.1,
-            components=PAN_TILT,
-        ),
+        size_parameter("length", "s", PAN_TILT, typical=0.03, lower=0.0, limit=0.5, prior_std=0.1),
     )
     confused_with = ("base_compliance", "base_speed_jump", "low_pass_lag", "acceleration_error")
     remedy = "let `gyrorig solve` fit this cause"

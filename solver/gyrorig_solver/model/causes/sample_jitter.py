@@ -9,7 +9,7 @@ import numpy as np
 
 from gyrorig_solver.data import FloatArray
 from gyrorig_solver.model.signal_state import SignalState
-from gyrorig_solver.model.term import Kind, Part, Scope, TermParameter
+from gyrorig_solver.model.term import TermParameter
 from gyrorig_solver.model.term_kinds import ZeroMeanTerm
 
 
@@ -18,9 +18,9 @@ class SampleJitter(ZeroMeanTerm):
 
     cause = "sample_jitter"
     title = "The sampling times are irregular"
-    part: Part = "clock"
-    kind: Kind = "stochastic"
-    scope: Scope = "recording"
+    part = "clock"
+    kind = "stochastic"
+    scope = "recording"
     parameters = (
         TermParameter("deviation", "s", typical_size=5e-4, lower=0.0, upper=0.05, prior_std=0.01),
     )

@@ -10,13 +10,7 @@ import numpy as np
 
 from gyrorig_solver.data import FloatArray
 from gyrorig_solver.model.signal_state import SignalState
-from gyrorig_solver.model.term import (
-    RATE_COVARIATES,
-    BinnedDependence,
-    Part,
-    Stage,
-    TermParameter,
-)
+from gyrorig_solver.model.term import RATE_COVARIATES, BinnedDependence, TermParameter
 from gyrorig_solver.model.term_kinds import NonlinearTerm, scan_grid
 
 
@@ -25,9 +19,9 @@ class Saturation(NonlinearTerm):
 
     cause = "saturation"
     title = "The output saturates"
-    part: Part = "sensor"
-    stage: Stage = "limit"
-    depends_on_upstream: bool = True
+    part = "sensor"
+    stage = "limit"
+    depends_on_upstream = True
     parameters = (
         TermParameter("shortfall", "1", typical_size=0.2, lower=0.0, upper=0.98, prior_std=1.0),
     )

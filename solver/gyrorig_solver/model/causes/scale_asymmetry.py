@@ -9,12 +9,7 @@ import numpy as np
 from gyrorig_solver.data import FloatArray
 from gyrorig_solver.model.signal_arrays import split_axes
 from gyrorig_solver.model.signal_state import SignalState
-from gyrorig_solver.model.term import (
-    RATE_COVARIATES,
-    BinnedDependence,
-    Part,
-    TermParameter,
-)
+from gyrorig_solver.model.term import RATE_COVARIATES, BinnedDependence, size_parameter
 from gyrorig_solver.model.term_kinds import LinearTerm
 from gyrorig_solver.model.value_format import XYZ, format_list
 
@@ -24,12 +19,8 @@ class ScaleAsymmetry(LinearTerm):
 
     cause = "scale_asymmetry"
     title = "The two directions have different scale factors"
-    part: Part = "sensor"
-    parameters = (
-        TermParameter(
-            "share", "1", typical_size=2e-3, lower=-0.05, upper=0.05, prior_std=0.02, components=XYZ
-        ),
-    )
+    part = "sensor"
+    parameters = (size_parameter("share", "1", XYZ, typical=2e-3, limit=0.05, prior_std=0.02),)
     confused_with = ("scale_quadratic", "vibration_rectification", "motor_coupling")
     remedy = "let `gyrorig solve` fit this cause, because it is a property of the sensor"
     covariates = RATE_COVARIATES

@@ -7,12 +7,7 @@ y_i += c_i (G omega)_i^3. 0.2 % of a full scale of 250 deg/s at its end (L3G4200
 from gyrorig_solver.data import FloatArray
 from gyrorig_solver.model.signal_arrays import split_axes
 from gyrorig_solver.model.signal_state import SignalState
-from gyrorig_solver.model.term import (
-    RATE_COVARIATES,
-    BinnedDependence,
-    Part,
-    TermParameter,
-)
+from gyrorig_solver.model.term import RATE_COVARIATES, BinnedDependence, size_parameter
 from gyrorig_solver.model.term_kinds import LinearTerm
 from gyrorig_solver.model.value_format import DEG, XYZ, format_list
 
@@ -25,16 +20,10 @@ class ScaleCubic(LinearTerm):
 
     cause = "scale_cubic"
     title = "The rate error grows with the cube of the rate"
-    part: Part = "sensor"
+    part = "sensor"
     parameters = (
-        TermParameter(
-            name="coefficient",
-            unit="s^2/rad^2",
-            typical_size=0.03 * _PER_DPS,
-            lower=-3.0 * _PER_DPS,
-            upper=3.0 * _PER_DPS,
-            prior_std=1.0 * _PER_DPS,
-            components=XYZ,
+        size_parameter(
+            "coefficient", "s^2/rad^2", XYZ, typical=0.03, limit=3.0, prior_std=1.0, factor=_PER_DPS
         ),
     )
     confused_with = ("scale_quadratic", "saturation", "scale_asymmetry")

@@ -7,12 +7,7 @@ scale); 0.1 deg/s at 100 deg/s is a fifth of that at 250.
 from gyrorig_solver.data import FloatArray
 from gyrorig_solver.model.signal_arrays import split_axes
 from gyrorig_solver.model.signal_state import SignalState
-from gyrorig_solver.model.term import (
-    RATE_COVARIATES,
-    BinnedDependence,
-    Part,
-    TermParameter,
-)
+from gyrorig_solver.model.term import RATE_COVARIATES, BinnedDependence, size_parameter
 from gyrorig_solver.model.term_kinds import LinearTerm
 from gyrorig_solver.model.value_format import DEG, XYZ, format_list
 
@@ -25,16 +20,10 @@ class ScaleQuadratic(LinearTerm):
 
     cause = "scale_quadratic"
     title = "The rate error grows with the square of the rate"
-    part: Part = "sensor"
+    part = "sensor"
     parameters = (
-        TermParameter(
-            name="coefficient",
-            unit="s/rad",
-            typical_size=0.1 * _PER_DPS,
-            lower=-3.0 * _PER_DPS,
-            upper=3.0 * _PER_DPS,
-            prior_std=1.0 * _PER_DPS,
-            components=XYZ,
+        size_parameter(
+            "coefficient", "s/rad", XYZ, typical=0.1, limit=3.0, prior_std=1.0, factor=_PER_DPS
         ),
     )
     confused_with = (

@@ -7,7 +7,7 @@ negative determinant, which no mount can produce.
 from gyrorig_solver.data import FloatArray
 from gyrorig_solver.model.signal_arrays import split_axes
 from gyrorig_solver.model.signal_state import SignalState
-from gyrorig_solver.model.term import Kind, Part, Stage, TermParameter
+from gyrorig_solver.model.term import size_parameter
 from gyrorig_solver.model.term_kinds import LinearTerm
 from gyrorig_solver.model.value_format import XYZ
 
@@ -17,13 +17,11 @@ class SignFlip(LinearTerm):
 
     cause = "sign_flip"
     title = "An axis has the wrong sign"
-    part: Part = "link"
-    stage: Stage = "readout"
-    kind: Kind = "gauge"
+    part = "link"
+    stage = "readout"
+    kind = "gauge"
     parameters = (
-        TermParameter(
-            "flipped", "1", typical_size=1.0, lower=0.0, upper=1.0, prior_std=1.0, components=XYZ
-        ),
+        size_parameter("flipped", "1", XYZ, typical=1.0, lower=0.0, limit=1.0, prior_std=1.0),
     )
     confused_with = ("axis_swap",)
     remedy = "correct the sign of the axis in the driver or in the board's columns"

@@ -8,12 +8,7 @@ frame over tilt.
 
 from gyrorig_solver.data import FloatArray
 from gyrorig_solver.model.signal_state import SignalState
-from gyrorig_solver.model.term import (
-    ANGLE_COVARIATES,
-    BinnedDependence,
-    Stage,
-    TermParameter,
-)
+from gyrorig_solver.model.term import ANGLE_COVARIATES, BinnedDependence, size_parameter
 from gyrorig_solver.model.term_kinds import LinearAngleTerm
 from gyrorig_solver.model.value_format import PAN_TILT, format_list
 
@@ -23,18 +18,8 @@ class StepResolution(LinearAngleTerm):
 
     cause = "step_resolution"
     title = "The step size differs from the configuration"
-    stage: Stage = "drive"
-    parameters = (
-        TermParameter(
-            name="share",
-            unit="1",
-            typical_size=1e-3,
-            lower=-0.1,
-            upper=0.1,
-            prior_std=0.02,
-            components=PAN_TILT,
-        ),
-    )
+    stage = "drive"
+    parameters = (size_parameter("share", "1", PAN_TILT, typical=1e-3, limit=0.1, prior_std=0.02),)
     confused_with = ("tilt_sag", "clock_skew", "eccentricity")
     remedy = "query the resolution of the unit (commands PR and TR) and configure that value"
     covariates = ANGLE_COVARIATES

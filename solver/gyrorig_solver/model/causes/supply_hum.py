@@ -10,7 +10,7 @@ import numpy as np
 from gyrorig_solver.data import FloatArray
 from gyrorig_solver.model.signal_arrays import on_all_axes, split_axes
 from gyrorig_solver.model.signal_state import SignalState
-from gyrorig_solver.model.term import Part, Scope, Stage, TermParameter
+from gyrorig_solver.model.term import TermParameter, size_parameter
 from gyrorig_solver.model.term_kinds import LinearTerm, scan_grid
 from gyrorig_solver.model.value_format import DEG, XYZ, format_list
 
@@ -24,28 +24,12 @@ class SupplyHum(LinearTerm):
 
     cause = "supply_hum"
     title = "The rates contain the mains frequency"
-    part: Part = "sensor"
-    stage: Stage = "readout"
-    scope: Scope = "recording"
+    part = "sensor"
+    stage = "readout"
+    scope = "recording"
     parameters = (
-        TermParameter(
-            name="cosine",
-            unit="rad/s",
-            typical_size=0.03 * DEG,
-            lower=-5.0 * DEG,
-            upper=5.0 * DEG,
-            prior_std=1.0 * DEG,
-            components=XYZ,
-        ),
-        TermParameter(
-            name="sine",
-            unit="rad/s",
-            typical_size=0.03 * DEG,
-            lower=-5.0 * DEG,
-            upper=5.0 * DEG,
-            prior_std=1.0 * DEG,
-            components=XYZ,
-        ),
+        size_parameter("cosine", "rad/s", XYZ, typical=0.03, limit=5.0, prior_std=1.0, factor=DEG),
+        size_parameter("sine", "rad/s", XYZ, typical=0.03, limit=5.0, prior_std=1.0, factor=DEG),
         TermParameter(
             name="frequency",
             unit="Hz",

@@ -14,12 +14,7 @@ from gyrorig_protocol.profile import SensorProfile
 from gyrorig_solver.data import FloatArray
 from gyrorig_solver.model.signal_arrays import on_all_axes, split_axes
 from gyrorig_solver.model.signal_state import SignalState
-from gyrorig_solver.model.term import (
-    BinnedDependence,
-    Part,
-    Stage,
-    TermParameter,
-)
+from gyrorig_solver.model.term import BinnedDependence, TermParameter
 from gyrorig_solver.model.term_kinds import LinearTerm, scan_grid
 from gyrorig_solver.model.value_format import DEG, XYZ, format_list
 
@@ -36,8 +31,8 @@ class ThermalBias(LinearTerm):
 
     cause = "thermal_bias"
     title = "Temperature changes the bias"
-    part: Part = "sensor"
-    stage: Stage = "bias"
+    part = "sensor"
+    stage = "bias"
     confused_with = ("warm_up", "bias_ramp", "bias_step", "bias_random_walk")
     remedy = (
         "let the board warm up before recording and keep draughts away, or let `gyrorig solve` "

@@ -12,11 +12,7 @@ from gyrorig_solver.model.causes.thermal_bias import (
 )
 from gyrorig_solver.model.signal_arrays import split_axes
 from gyrorig_solver.model.signal_state import SignalState
-from gyrorig_solver.model.term import (
-    BinnedDependence,
-    Part,
-    TermParameter,
-)
+from gyrorig_solver.model.term import BinnedDependence, size_parameter
 from gyrorig_solver.model.term_kinds import LinearTerm
 from gyrorig_solver.model.value_format import XYZ, format_list
 
@@ -26,18 +22,8 @@ class ThermalScale(LinearTerm):
 
     cause = "thermal_scale"
     title = "Temperature changes the scale factor"
-    part: Part = "sensor"
-    parameters = (
-        TermParameter(
-            name="slope",
-            unit="1/K",
-            typical_size=1.6e-4,
-            lower=-2e-3,
-            upper=2e-3,
-            prior_std=1e-3,
-            components=XYZ,
-        ),
-    )
+    part = "sensor"
+    parameters = (size_parameter("slope", "1/K", XYZ, typical=1.6e-4, limit=2e-3, prior_std=1e-3),)
     confused_with = ("board_slip", "thermal_bias", "clock_skew")
     remedy = "record at the temperature of use, or let `gyrorig solve` fit this cause"
     covariates = ("time",)

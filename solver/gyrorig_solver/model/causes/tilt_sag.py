@@ -9,24 +9,13 @@ import numpy as np
 
 from gyrorig_solver.data import FloatArray
 from gyrorig_solver.model.signal_state import SignalState
-from gyrorig_solver.model.term import (
-    BinnedDependence,
-    TermParameter,
-)
+from gyrorig_solver.model.term import BinnedDependence, TermParameter, size_parameter
 from gyrorig_solver.model.term_kinds import LinearAngleTerm
 from gyrorig_solver.model.value_format import DEG
 
 
 def _parameter(name: str) -> TermParameter:
-    return TermParameter(
-        name=name,
-        unit="rad",
-        typical_size=0.1 * DEG,
-        lower=-2.0 * DEG,
-        upper=2.0 * DEG,
-        prior_std=0.5 * DEG,
-        components=("tilt",),
-    )
+    return size_parameter(name, "rad", ("tilt",), typical=0.1, limit=2.0, prior_std=0.5, factor=DEG)
 
 
 class TiltSag(LinearAngleTerm):

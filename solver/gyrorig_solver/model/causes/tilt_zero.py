@@ -10,14 +10,7 @@ import numpy as np
 
 from gyrorig_solver.data import FloatArray
 from gyrorig_solver.model.signal_state import SignalState
-from gyrorig_solver.model.term import (
-    BinnedDependence,
-    Kind,
-    Part,
-    Scope,
-    Stage,
-    TermParameter,
-)
+from gyrorig_solver.model.term import BinnedDependence, size_parameter
 from gyrorig_solver.model.term_kinds import NonlinearTerm
 from gyrorig_solver.model.value_format import DEG
 
@@ -27,19 +20,12 @@ class TiltZero(NonlinearTerm):
 
     cause = "tilt_zero"
     title = "The tilt zero is wrong"
-    part: Part = "ptu"
-    stage: Stage = "axes"
-    kind: Kind = "gauge"
-    scope: Scope = "unit"
+    part = "ptu"
+    stage = "axes"
+    kind = "gauge"
+    scope = "unit"
     parameters = (
-        TermParameter(
-            name="angle",
-            unit="rad",
-            typical_size=0.3 * DEG,
-            lower=-5.0 * DEG,
-            upper=5.0 * DEG,
-            prior_std=1.0 * DEG,
-        ),
+        size_parameter("angle", "rad", typical=0.3, limit=5.0, prior_std=1.0, factor=DEG),
     )
     remedy = "level the unit and set tilt_zero in the rig file"
     covariates = None

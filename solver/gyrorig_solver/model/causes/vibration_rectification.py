@@ -10,13 +10,7 @@ import numpy as np
 from gyrorig_solver.data import FloatArray
 from gyrorig_solver.model.signal_arrays import on_all_axes, split_axes
 from gyrorig_solver.model.signal_state import SignalState
-from gyrorig_solver.model.term import (
-    NO_ANGLES,
-    RATE_COVARIATES,
-    BinnedDependence,
-    Part,
-    TermParameter,
-)
+from gyrorig_solver.model.term import NO_ANGLES, RATE_COVARIATES, BinnedDependence, size_parameter
 from gyrorig_solver.model.term_kinds import LinearTerm
 from gyrorig_solver.model.value_format import DEG, XYZ, format_list
 
@@ -28,16 +22,10 @@ class VibrationRectification(LinearTerm):
 
     cause = "vibration_rectification"
     title = "Vibration changes the bias"
-    part: Part = "sensor"
+    part = "sensor"
     parameters = (
-        TermParameter(
-            name="coefficient",
-            unit="s/rad",
-            typical_size=5e-3 * _PER_DPS,
-            lower=-0.2 * _PER_DPS,
-            upper=0.2 * _PER_DPS,
-            prior_std=0.1 * _PER_DPS,
-            components=XYZ,
+        size_parameter(
+            "coefficient", "s/rad", XYZ, typical=5e-3, limit=0.2, prior_std=0.1, factor=_PER_DPS
         ),
     )
     confused_with = ("scale_quadratic", "scale_asymmetry", "motor_coupling", "g_sensitivity")

@@ -10,13 +10,7 @@ import numpy as np
 from gyrorig_solver.data import FloatArray
 from gyrorig_solver.model.signal_arrays import on_all_axes, split_axes
 from gyrorig_solver.model.signal_state import SignalState
-from gyrorig_solver.model.term import (
-    BinnedDependence,
-    Part,
-    Scope,
-    Stage,
-    TermParameter,
-)
+from gyrorig_solver.model.term import BinnedDependence, TermParameter, size_parameter
 from gyrorig_solver.model.term_kinds import LinearTerm, scan_grid
 from gyrorig_solver.model.value_format import DEG, XYZ, format_list
 
@@ -26,19 +20,11 @@ class WarmUp(LinearTerm):
 
     cause = "warm_up"
     title = "The board was still warming up"
-    part: Part = "sensor"
-    stage: Stage = "bias"
-    scope: Scope = "recording"
+    part = "sensor"
+    stage = "bias"
+    scope = "recording"
     parameters = (
-        TermParameter(
-            name="begin",
-            unit="rad/s",
-            typical_size=0.1 * DEG,
-            lower=-5.0 * DEG,
-            upper=5.0 * DEG,
-            prior_std=1.0 * DEG,
-            components=XYZ,
-        ),
+        size_parameter("begin", "rad/s", XYZ, typical=0.1, limit=5.0, prior_std=1.0, factor=DEG),
         TermParameter(
             name="time_constant",
             unit="s",

@@ -13,8 +13,8 @@ from gyrorig_solver.model.signal_state import SignalState
 from gyrorig_solver.model.term import (
     ANGLE_COVARIATES,
     BinnedDependence,
-    Stage,
     TermParameter,
+    size_parameter,
 )
 from gyrorig_solver.model.term_kinds import LinearAngleTerm, scan_grid
 from gyrorig_solver.model.value_format import DEG, PAN_TILT, format_list
@@ -23,14 +23,8 @@ MOTOR_TURN_RAD = 2.0 * np.pi / 17.5  # of the stage, per motor turn
 
 
 def _parameter(name: str) -> TermParameter:
-    return TermParameter(
-        name=name,
-        unit="rad",
-        typical_size=0.015 * DEG,
-        lower=-0.5 * DEG,
-        upper=0.5 * DEG,
-        prior_std=0.1 * DEG,
-        components=PAN_TILT,
+    return size_parameter(
+        name, "rad", PAN_TILT, typical=0.015, limit=0.5, prior_std=0.1, factor=DEG
     )
 
 
@@ -39,7 +33,7 @@ class WormError(LinearAngleTerm):
 
     cause = "worm_error"
     title = "The worm has a periodic error"
-    stage: Stage = "drive"
+    stage = "drive"
     parameters = (
         _parameter("cosine"),
         _parameter("sine"),

@@ -9,7 +9,7 @@ import numpy as np
 
 from gyrorig_solver.data import FloatArray
 from gyrorig_solver.model.signal_state import SignalState
-from gyrorig_solver.model.term import Kind, Part, Stage, TermParameter
+from gyrorig_solver.model.term import TermParameter
 from gyrorig_solver.model.term_kinds import NonlinearTerm, scan_grid
 
 
@@ -18,9 +18,9 @@ class WrongFullScale(NonlinearTerm):
 
     cause = "wrong_full_scale"
     title = "The full scale differs from the configuration"
-    part: Part = "link"
-    stage: Stage = "readout"
-    kind: Kind = "gauge"
+    part = "link"
+    stage = "readout"
+    kind = "gauge"
     parameters = (
         TermParameter("doublings", "1", typical_size=1.0, lower=-4.0, upper=4.0, prior_std=2.0),
     )
