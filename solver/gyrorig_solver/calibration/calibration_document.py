@@ -243,12 +243,13 @@ class UnitPriorRecord(_DocumentPart, frozen=True, omit_defaults=True):
     sha256: str | None = None  # `sha256:` digest of the version; None for a file named by a user
 
 
-class CalibrationDocument(_DocumentPart, frozen=True, omit_defaults=True):
-    """One calibration of one board: immutable once written."""
+class CalibrationDocument(_DocumentPart, frozen=True, kw_only=True, omit_defaults=True):
+    """One calibration of one board: immutable once written. The keys have this order."""
 
     schema: Literal["gyrorig/calibration/1"] = msgspec.field()
     board: BoardRecord
     version: Annotated[int, msgspec.Meta(ge=1)]
+    previous: str | None = None
     created: str
     inputs: list[SolvedInput]
     solver: SolverRecord
@@ -262,23 +263,15 @@ class CalibrationDocument(_DocumentPart, frozen=True, omit_defaults=True):
     quality: Quality
     trust: Trust
     validity: Validity
-    previous: str | None = None
-    findings: FindingsReference | None = None
     uncertainty: UncertaintyRecord | None = None  # of a fit to a pan-tilt unit
     unit_prior: UnitPriorRecord | None = None  # None: the prior sizes of the table
-
-
-_KEY_ORDER = (
-    *("schema", "board", "version", "previous", "created", "inputs", "solver", "units", "model"),
-    *("parameters", "matrices", "covariance", "observability", "noise", "quality", "trust"),
-    *("validity", "uncertainty", "unit_prior", "findings"),
-)
+    findings: FindingsReference | None = None
 
 
 def calibration_as_mapping(calibration: CalibrationDocument) -> dict[str, Any]:
     """Return the document as mappings, lists and scalars, in the order of the schema."""
-    plain: dict[str, Any] = msgspec.to_builtins(calibration)
-    return {key: plain[key] for key in _KEY_ORDER if key in plain}
+    mapping: dict[str, Any] = msgspec.to_builtins(calibration)
+    return mapping
 
 
 def calibration_as_yaml(calibration: CalibrationDocument) -> str:

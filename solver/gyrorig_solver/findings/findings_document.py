@@ -157,8 +157,8 @@ class RawCheckEntry(_Document, frozen=True):
     said: str
 
 
-class FindingsDocument(_Document, frozen=True, omit_defaults=True):
-    """The findings of one board."""
+class FindingsDocument(_Document, frozen=True, kw_only=True, omit_defaults=True):
+    """The findings of one board. The keys have this order."""
 
     schema: Literal["gyrorig/findings/1"] = msgspec.field()
     board: BoardEntry
@@ -168,34 +168,20 @@ class FindingsDocument(_Document, frozen=True, omit_defaults=True):
     verdict: Literal["adequate", "explained", "unexplained"]
     base: BaseModelEntry
     causes: list[CauseEntry]
-    not_testable: list[UntestableEntry]
-    minimal_detectable: list[DetectableEntry]
-    raw: list[RawCheckEntry]
     unexplained: UnexplainedEntry | None = None
     gain: GainEntry | None = None  # of all causes together
     elsewhere: GainEntry | None = None  # of all causes together, on a held-out recording
     effect_on_calibration: list[ChangeEntry] = []  # of all causes together
+    not_testable: list[UntestableEntry]
+    minimal_detectable: list[DetectableEntry]
+    raw: list[RawCheckEntry]
     remarks: list[str] = []
-
-
-_KEY_ORDER = (
-    *("schema", "board", "created", "software", "recording", "verdict", "base", "causes"),
-    *(
-        "unexplained",
-        "gain",
-        "elsewhere",
-        "effect_on_calibration",
-        "not_testable",
-        "minimal_detectable",
-    ),
-    *("raw", "remarks"),
-)
 
 
 def to_plain(document: FindingsDocument) -> dict[str, Any]:
     """Return the document as mappings, lists and scalars, keys in the order of the schema."""
     plain: dict[str, Any] = msgspec.to_builtins(document)
-    return {key: plain[key] for key in _KEY_ORDER if key in plain}
+    return plain
 
 
 def to_yaml(document: FindingsDocument) -> str:
