@@ -16,7 +16,8 @@ from gyrorig_solver.report.figure_layout import (
     AXIS_COLOURS,
     BEFORE,
     SOFT,
-    draw_envelope,
+    draw_rates_over_time,
+    finish_spectrum,
     stacked_panels,
 )
 from gyrorig_solver.report.integration_error import to_uniform_grid
@@ -77,17 +78,8 @@ def rate_error_figure(data: FitDiagnostics, error_after_rad_s: FloatArray) -> st
         data: of the fit.
         error_after_rad_s: calibrated reading minus stage rate, shape (n, 3).
     """
-    figure, panels = stacked_panels(3, 5.4)
     before = data.rate_rad_s - data.reference_rad_s
-    for axis, panel in enumerate(panels):
-        draw_envelope(panel, data.time_s, np.degrees(before[:, axis]), BEFORE)
-        draw_envelope(
-            panel, data.time_s, np.degrees(error_after_rad_s[:, axis]), AXIS_COLOURS[axis]
-        )
-        panel.ylabel = f"{'xyz'[axis]}  deg/s"
-        panel.level(0.0, colour=SOFT, linewidth=0.5)
-    panels[-1].xlabel = "time, s"
-    return figure.svg()
+    return draw_rates_over_time(data.time_s, [(before, BEFORE), (error_after_rad_s, None)], 5.4)
 
 
 def angle_error_figure(data: FitDiagnostics, error_after_rad_s: FloatArray) -> str:
@@ -139,9 +131,8 @@ def allan_figure(data: FitDiagnostics, noise: Mapping[str, Sequence[float | None
         modelled = np.degrees(integration_error.modelled_allan_deviation(tau_s, *coefficients))
         label = "noise model" if axis == 0 else ""
         panel.plot(tau_s, modelled, colour=SOFT, linewidth=1.0, linestyle="--", label=label)
-    panel.is_logarithmic = panel.has_key = True
-    panel.xlabel = "averaging time, s"
-    panel.ylabel = "Allan deviation, deg/s"
+    panel.is_logarithmic = True
+    panel.name_axes("averaging time, s", "Allan deviation, deg/s")
     return figure.svg()
 
 
@@ -152,23 +143,8 @@ def residual_by_angle_figure(data: FitDiagnostics, axis: int) -> str:
     angle = data.angle_rad[axis]
     if not np.isfinite(angle).any() or float(np.nanmax(angle) - np.nanmin(angle)) < _MIN_RANGE_RAD:
         return ""
-    figure, (panel,) = stacked_panels(1, 2.8)
-    for sensor_axis in range(3):
-        centre, mean, bar = _binned(angle, data.residual_rad_s[:, sensor_axis], 24)
-        panel.dots(
-            np.degrees(centre),
-            np.degrees(mean),
-            np.degrees(bar),
-            colour=AXIS_COLOURS[sensor_axis],
-            linewidth=0.9,
-            markersize=3,
-            label="xyz"[sensor_axis],
-        )
-    panel.level(0.0, colour=SOFT, linewidth=0.5)
-    panel.xlabel = f"{('pan', 'tilt')[axis]}, deg"
-    panel.ylabel = "residual, deg/s"
-    panel.has_key = True
-    return figure.svg()
+    label = f"{('pan', 'tilt')[axis]}, deg"
+    return _residual_in_bins(data, [angle] * 3, 24, 2.8, label)
 
 
 def clock_figure(course: ClockTrace, bound_s: float) -> str:
@@ -192,14 +168,7 @@ def clock_figure(course: ClockTrace, bound_s: float) -> str:
 
 def residual_figure(data: FitDiagnostics) -> str:
     """Draw the residual over time, in deg/s, one panel per axis."""
-    figure, panels = stacked_panels(3, 4.2)
-    for axis, panel in enumerate(panels):
-        residual = np.degrees(data.residual_rad_s[:, axis])
-        draw_envelope(panel, data.time_s, residual, AXIS_COLOURS[axis])
-        panel.ylabel = f"{'xyz'[axis]}  deg/s"
-        panel.level(0.0, colour=SOFT, linewidth=0.5)
-    panels[-1].xlabel = "time, s"
-    return figure.svg()
+    return draw_rates_over_time(data.time_s, [(data.residual_rad_s, None)], 4.2)
 
 
 def spectrum_figure(data: FitDiagnostics) -> str:
@@ -213,27 +182,23 @@ def spectrum_figure(data: FitDiagnostics) -> str:
             linewidth=0.9,
             label="xyz"[axis],
         )
-    for axis in range(3):
-        panel.plot(
-            data.frequency_hz,
-            np.degrees(np.sqrt(data.spectrum_model[:, axis])),
-            colour=SOFT,
-            linewidth=1.0,
-            linestyle="--",
-            label="noise model" if axis == 0 else "",
-        )
-    panel.is_logarithmic = True
-    panel.xlabel = "frequency, Hz"
-    panel.ylabel = "deg/s/√Hz"
-    panel.has_key = True
+    finish_spectrum(panel, data.frequency_hz, data.spectrum_model, 1.0)
     return figure.svg()
 
 
 def residual_by_rate_figure(data: FitDiagnostics) -> str:
     """Draw the mean residual in bins of the stage's rate, with 95 % intervals."""
-    figure, (panel,) = stacked_panels(1, 3.2)
+    label = "stage rate about the axis, deg/s"
+    return _residual_in_bins(data, list(data.reference_rad_s.T), 15, 3.2, label)
+
+
+def _residual_in_bins(
+    data: FitDiagnostics, position: Sequence[FloatArray], bins: int, height_inch: float, label: str
+) -> str:
+    """Draw the mean residual of each axis in bins of its `position`, (n,), in rad or rad/s."""
+    figure, (panel,) = stacked_panels(1, height_inch)
     for axis in range(3):
-        centre, mean, bar = _binned(data.reference_rad_s[:, axis], data.residual_rad_s[:, axis])
+        centre, mean, bar = _binned(position[axis], data.residual_rad_s[:, axis], bins)
         panel.dots(
             np.degrees(centre),
             np.degrees(mean),
@@ -244,14 +209,12 @@ def residual_by_rate_figure(data: FitDiagnostics) -> str:
             label="xyz"[axis],
         )
     panel.level(0.0, colour=SOFT, linewidth=0.5)
-    panel.xlabel = "stage rate about the axis, deg/s"
-    panel.ylabel = "residual, deg/s"
-    panel.has_key = True
+    panel.name_axes(label, "residual, deg/s")
     return figure.svg()
 
 
 def _binned(
-    position: FloatArray, value: FloatArray, bins: int = 15
+    position: FloatArray, value: FloatArray, bins: int
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return centres, means and 95 % half-widths of `value` in bins of `position`."""
     known = np.isfinite(position) & np.isfinite(value)

@@ -23,7 +23,8 @@ from gyrorig_solver.report.figure_layout import (
     BEFORE,
     INK,
     SOFT,
-    draw_envelope,
+    draw_rates_over_time,
+    finish_spectrum,
     stacked_panels,
 )
 from gyrorig_solver.report.report_series import ReportSeries
@@ -99,9 +100,9 @@ def residual_by_effect(series: ReportSeries, effect: FloatArray, key: str, axis:
     )
     panel.level(0.0, colour=SOFT, linewidth=1.1, linestyle="--", label=WITHOUT_CAUSE)
     panel.plot(centre, centre, colour=AXIS_COLOURS[axis], linewidth=1.8, label=WITH_CAUSE)
-    panel.xlabel = f"predicted effect {'xyz'[axis]}, deg/s"
-    panel.ylabel = f"residual {'xyz'[axis]} without the cause, deg/s"
-    panel.has_key = True
+    panel.name_axes(
+        f"predicted effect {'xyz'[axis]}, deg/s", f"residual {'xyz'[axis]} without the cause, deg/s"
+    )
     return figure.svg()
 
 
@@ -152,9 +153,7 @@ def close_up_figure(series: ReportSeries, effect: FloatArray, axis: int) -> str:
         label=f"residual {WITH_CAUSE}",
     )
     below.level(0.0, colour=SOFT, linewidth=0.5)
-    below.ylabel = "residual, deg/s"
-    below.xlabel = "time, s"
-    below.has_key = True
+    below.name_axes("time, s", "residual, deg/s")
     return figure.svg()
 
 
@@ -189,16 +188,9 @@ def unexplained_figure(series: ReportSeries, signature: str, axis: int | None) -
 
 def residual_over_time(series: ReportSeries) -> str:
     """Draw the residuals of both models, in deg/s, one panel per axis."""
-    figure, panels = stacked_panels(3, 5.0)
-    base, extended = series.base_residual_rad_s, series.extended_residual_rad_s
-    for axis, panel in enumerate(panels):
-        if series.effects:
-            draw_envelope(panel, series.time_s, np.degrees(base[:, axis]), BEFORE)
-        draw_envelope(panel, series.time_s, np.degrees(extended[:, axis]), AXIS_COLOURS[axis])
-        panel.level(0.0, colour=SOFT, linewidth=0.5)
-        panel.ylabel = f"{'xyz'[axis]}  deg/s"
-    panels[-1].xlabel = "time, s"
-    return figure.svg()
+    before = [(series.base_residual_rad_s, BEFORE)] if series.effects else []
+    layers = [*before, (series.extended_residual_rad_s, None)]
+    return draw_rates_over_time(series.time_s, layers, 5.0)
 
 
 def residual_spectrum(series: ReportSeries) -> str:
@@ -217,19 +209,7 @@ def residual_spectrum(series: ReportSeries) -> str:
                 linewidth=width,
                 label="xyz"[axis] if colour != BEFORE else "base model" * (axis == 0),
             )
-    for axis in range(3):
-        panel.plot(
-            series.frequency_hz,
-            np.degrees(np.sqrt(series.spectrum_model[:, axis])),
-            colour=SOFT,
-            linewidth=0.9,
-            linestyle="--",
-            label="noise model" if axis == 0 else "",
-        )
-    panel.is_logarithmic = True
-    panel.xlabel = "frequency, Hz"
-    panel.ylabel = "deg/s/√Hz"
-    panel.has_key = True
+    finish_spectrum(panel, series.frequency_hz, series.spectrum_model, 0.9)
     return figure.svg()
 
 

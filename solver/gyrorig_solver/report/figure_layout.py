@@ -4,8 +4,11 @@ Colours are variables of the page's style sheet, therefore a figure works in lig
 No text from files is drawn in a figure: names are in the captions, where they are escaped.
 
 What to use when: `stacked_panels` for panels to draw in, `draw_envelope` for data too dense for a
-line, `standalone_svg` for a figure in a separate file.
+line, `draw_rates_over_time` and `finish_spectrum` for figures that both reports have,
+`standalone_svg` for a figure in a separate file.
 """
+
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -37,6 +40,46 @@ def draw_envelope(panel: Panel, time_s: FloatArray, values: FloatArray, colour: 
     low[filled], high[filled] = np.nanmin(blocks[filled], axis=1), np.nanmax(blocks[filled], axis=1)
     middle = time_s[: rows * size].reshape(rows, size).mean(axis=1)
     panel.band(middle, low, high, colour=colour)
+
+
+def draw_rates_over_time(
+    time_s: FloatArray, layers: Sequence[tuple[FloatArray, str | None]], height_inch: float
+) -> str:
+    """Draw rates over time, in deg/s, one panel per axis.
+
+    Args:
+        time_s: shape (n,).
+        layers: rates in rad/s, (n, 3), and their colour; None: that of the axis. The first is
+            behind the others.
+        height_inch: of the figure.
+    """
+    figure, panels = stacked_panels(3, height_inch)
+    for axis, panel in enumerate(panels):
+        for rate_rad_s, colour in layers:
+            draw_envelope(
+                panel, time_s, np.degrees(rate_rad_s[:, axis]), colour or AXIS_COLOURS[axis]
+            )
+        panel.level(0.0, colour=SOFT, linewidth=0.5)
+        panel.ylabel = f"{'xyz'[axis]}  deg/s"
+    panels[-1].xlabel = "time, s"
+    return figure.svg()
+
+
+def finish_spectrum(
+    panel: Panel, frequency_hz: FloatArray, noise_model: FloatArray, linewidth: float
+) -> None:
+    """Draw a noise model's densities, (k, 3), over those in the panel, and name the axes."""
+    for axis in range(3):
+        panel.plot(
+            frequency_hz,
+            np.degrees(np.sqrt(noise_model[:, axis])),
+            colour=SOFT,
+            linewidth=linewidth,
+            linestyle="--",
+            label="noise model" if axis == 0 else "",
+        )
+    panel.is_logarithmic = True
+    panel.name_axes("frequency, Hz", "deg/s/√Hz")
 
 
 _STANDALONE_STYLE = (

@@ -83,6 +83,10 @@ class Panel:
             Mark(x, y, colour, linewidth, "-", markersize, bar, shown_bar_colour, label=label)
         )
 
+    def name_axes(self, xlabel: str, ylabel: str) -> None:
+        """Name both axes, and show the key of the labels."""
+        self.xlabel, self.ylabel, self.has_key = xlabel, ylabel, True
+
     def band(self, x: FloatArray, low: FloatArray, high: FloatArray, *, colour: str) -> None:
         """Add a band between two lines."""
         self.marks.append(Mark(x, low, colour, 0.4, band_edge=high))
