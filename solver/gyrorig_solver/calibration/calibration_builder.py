@@ -37,9 +37,9 @@ from gyrorig_solver.calibration.calibration_document import (
 )
 from gyrorig_solver.calibration.verdict import judge_fit, profile_warnings
 from gyrorig_solver.data import FloatArray
-from gyrorig_solver.estimate import GyroFit, StageLevel
+from gyrorig_solver.estimate import GyroFit
 from gyrorig_solver.estimate.gyro_fit import RecordingFit
-from gyrorig_solver.model import PARAMETER_GROUPS, factorise
+from gyrorig_solver.model import PARAMETER_GROUPS, LevelEstimate, factorise
 
 SAME_CLOCK_PPM = (
     1e-3  # closer rates mean the same clock: rounding to 1e-9 s in 10 s is a tenth of it
@@ -148,12 +148,13 @@ def _noise(fit: GyroFit) -> dict[str, NoiseFigure]:
     }
 
 
-def _level(level: StageLevel) -> LevelRecord:
+def level_record(level: LevelEstimate) -> LevelRecord:
+    """Return the document's entry of the unit's leveling."""
     return document_part(
         LevelRecord,
         level,
-        tilt_zero=level.tilt_zero_rad,
-        tilt_zero_std=level.tilt_zero_std_rad,
+        tilt_zero=level.offset_rad,
+        tilt_zero_std=level.offset_std_rad,
         lean=level.lean_rad,
         lean_std=level.lean_std_rad,
     )
@@ -193,7 +194,7 @@ def _quality(fit: GyroFit, profile: SensorProfile | None, origin: Provenance) ->
         warnings=[*fit.warnings, *profile_warnings(fit, profile, full_scale_dps)],
         outliers=int(fit.outliers),
         rest_to_rest=None if check is None else document_part(RestToRestCheck, check),
-        level=None if fit.level is None else _level(fit.level),
+        level=None if fit.level is None else level_record(fit.level),
         recordings=list(map(_recording_parameters, names, fit.recordings)) or None,
         mean_temperature_degc=fit.mean_temperature_degc,
         boards_together=fit.sharing.fitted_together,

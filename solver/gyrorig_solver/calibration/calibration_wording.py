@@ -8,7 +8,11 @@ uncertainties; `cause_groups` for parameters beyond the base model.
 import math
 from collections.abc import Sequence
 
-from gyrorig_solver.calibration.calibration_document import CalibrationDocument, Parameter
+from gyrorig_solver.calibration.calibration_document import (
+    CalibrationDocument,
+    LevelRecord,
+    Parameter,
+)
 from gyrorig_solver.model import (
     PARAMETER_GROUPS,
     ParameterGroup,
@@ -184,26 +188,15 @@ def axes_text(values: Sequence[float | None]) -> str:
     return ", ".join("not estimated" if v is None else format_short(v) for v in values)
 
 
-def level_sentence(
-    tilt_zero_rad: tuple[float, float],
-    lean_rad: Sequence[float],
-    lean_std_rad: Sequence[float],
-    rests: int,
-) -> str:
-    """Return the unit's leveling, as estimated from the board's accelerometer.
-
-    Args:
-        tilt_zero_rad: value and standard uncertainty.
-        lean_rad: of the pan axis, to the right and forward.
-        lean_std_rad: standard uncertainties of `lean_rad`.
-        rests: number of static intervals used.
-    """
+def level_sentence(level: LevelRecord) -> str:
+    """Return the unit's leveling, as estimated from the board's accelerometer."""
+    lean = zip(level.lean, level.lean_std, strict=True)
     tilt, right, forward = (
         " ± ".join(format_quantity(math.degrees(value), math.degrees(std)))
-        for value, std in (tilt_zero_rad, *zip(lean_rad, lean_std_rad, strict=True))
+        for value, std in ((level.tilt_zero, level.tilt_zero_std), *lean)
     )
     return (
-        f"The board's accelerometer in {rests} static intervals gives a tilt zero of {tilt} deg "
-        "(minus the board's mounting angle about x, which it cannot separate) and a pan axis that "
-        f"leans {right} deg to the right and {forward} deg forward."
+        f"The board's accelerometer in {level.rests} static intervals gives a tilt zero of {tilt} "
+        "deg (minus the board's mounting angle about x, which it cannot separate) and a pan axis "
+        f"that leans {right} deg to the right and {forward} deg forward."
     )

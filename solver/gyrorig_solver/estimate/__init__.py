@@ -29,7 +29,6 @@ from gyrorig_solver.estimate.gyro_fit import (
     FitDiagnostics,
     GyroFit,
     ObservabilityReport,
-    StageLevel,
 )
 from gyrorig_solver.estimate.information import (
     PARAMETER_NAMES,
@@ -91,7 +90,6 @@ __all__ = [
     "SessionFit",
     "SignalFunction",
     "Spectrum",
-    "StageLevel",
     "WhitenedSignals",
     "analyse_observability",
     "bin_spectrum",

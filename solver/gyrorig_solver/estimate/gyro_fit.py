@@ -12,6 +12,7 @@ import numpy as np
 from gyrorig_solver.data import BoolArray, FloatArray
 from gyrorig_solver.data.clocks.clock_trace import ClockTrace
 from gyrorig_solver.estimate.rest_to_rest import CrossCheck
+from gyrorig_solver.model import LevelEstimate
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,17 +77,6 @@ class FittedParameter:
     value: FloatArray  # nan if unobservable
     std: FloatArray
     unit: str
-
-
-@dataclass(frozen=True, slots=True)
-class StageLevel:
-    """The level of the unit from the board's accelerometer at rest; see `model.leveling`."""
-
-    tilt_zero_rad: float  # the tilt zero minus the board's mount angle about x
-    tilt_zero_std_rad: float
-    lean_rad: tuple[float, float]  # of the pan axis relative to the vertical: right, forward
-    lean_std_rad: tuple[float, float]
-    rests: int
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -160,7 +150,7 @@ class GyroFit:
     sharing: BoardSharing = NO_SHARING
     gravity_moves: GravityMoves | None = None  # if the reference is gravity
     causes: tuple[FittedParameter, ...] = ()
-    level: StageLevel | None = None  # if the recording has an accelerometer and tilts
+    level: LevelEstimate | None = None  # if the recording has an accelerometer and tilts
     recordings: tuple[RecordingFit, ...] = ()  # in the order of time, if there are several
 
     @property

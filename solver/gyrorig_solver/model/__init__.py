@@ -14,6 +14,7 @@ from gyrorig_solver.model.gain_matrix import (
     factor_jacobian,
     factorise,
 )
+from gyrorig_solver.model.leveling import LevelEstimate
 from gyrorig_solver.model.parameter_units import (
     DEG_PER_RAD,
     PARAMETER_GROUPS,
@@ -62,6 +63,7 @@ __all__ = [
     "AxisBiases",
     "BinnedDependence",
     "BoardTemperature",
+    "LevelEstimate",
     "LinearTerm",
     "ParameterGroup",
     "Part",

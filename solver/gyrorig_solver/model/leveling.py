@@ -21,7 +21,7 @@ What can be separated, and what cannot:
   mounting, gives a tilt zero. Over many boards with random m the mean of phi is z.
 - p and q: their part rotates with pan. At one pan angle, phi and the lean at that angle are one
 number:
-  then `upright_rad` is known, and phi is only as accurate as the level of the rig.
+  then their sum is known, and phi is only as accurate as the level of the rig.
 - The gyro's own phase (its misalignment about x is m - z) does not contain the lean. Gyro and
   accelerometer are on one die within the data sheet's tolerance (1 to 2 %, or 10 to 20 mrad). The
   sum of the two phases is the forward lean of the pan axis, even at one pan angle, within that
@@ -57,26 +57,14 @@ class LevelEstimate:
 
     offset_rad: float  # phi = tilt zero - mount angle about x, relative to the pan axis
     offset_std_rad: float  # includes the lean, also at one pan angle
-    upright_rad: float  # the same relative to the vertical, mean over the rests
-    upright_std_rad: float
     lean_rad: FloatArray  # (2,), vertical in the base frame: to the right (x), forward (y)
     lean_std_rad: FloatArray  # (2,), `LEVEL_STD_RAD` if the pan angles do not show it
-    bias_m_s2: FloatArray  # (3,), of the accelerometer
     reduced_chi2: float  # 1 if the readings' standard deviations explain the residual
     rests: int
 
-    @property
-    def pans_separate_lean(self) -> bool:
-        """True if the pan angles of the rests separate lean and offset."""
-        return bool(np.all(self.lean_std_rad < 0.5 * LEVEL_STD_RAD))
-
 
 def estimate_level(
-    pan_rad: FloatArray,
-    tilt_rad: FloatArray,
-    reading_m_s2: FloatArray,
-    std_m_s2: float,
-    nominal: FloatArray | None = None,
+    pan_rad: FloatArray, tilt_rad: FloatArray, reading_m_s2: FloatArray, std_m_s2: float
 ) -> LevelEstimate:
     """Estimate tilt zero and lean from the readings at rest (Gauss-Newton).
 
@@ -85,7 +73,6 @@ def estimate_level(
         tilt_rad: commanded, shape (m,).
         reading_m_s2: mean of each rest, counts times nominal scale, board frame, (m, 3).
         std_m_s2: of each mean, per axis.
-        nominal: nominal mount of the board, stage to board, (3, 3), if it is not the identity.
 
     Raises:
         InputError: there are too few tilts, or they are too close to each other.
@@ -100,22 +87,15 @@ def estimate_level(
             f"record rests at {MIN_TILTS} or more tilt angles that span at least "
             f"{np.degrees(MIN_TILT_RANGE_RAD):.0f} deg",
         )
-    reading = reading_m_s2 if nominal is None else reading_m_s2 @ nominal
-    estimate, covariance, chi2 = _fit(pan_rad, tilt_rad, reading, std_m_s2)
+    estimate, covariance, chi2 = _fit(pan_rad, tilt_rad, reading_m_s2, std_m_s2)
     ahead, up = estimate[4], estimate[7]  # A_y and A_z of the forward (y) axis
     slope = np.zeros(UNKNOWN_COUNT)
     slope[4], slope[7] = np.array([-up, ahead]) / (ahead**2 + up**2)
-    upright_slope = slope.copy()
-    upright_slope[9:11] = [-np.mean(np.sin(pan_rad)), np.mean(np.cos(pan_rad))]
-    offset = float(np.arctan2(up, ahead))
     return LevelEstimate(
-        offset_rad=offset,
+        offset_rad=float(np.arctan2(up, ahead)),
         offset_std_rad=float(np.sqrt(slope @ covariance @ slope)),
-        upright_rad=offset + float(upright_slope[9:11] @ estimate[9:11]),
-        upright_std_rad=float(np.sqrt(upright_slope @ covariance @ upright_slope)),
         lean_rad=estimate[9:11],
         lean_std_rad=np.sqrt(np.diag(covariance)[9:11]),
-        bias_m_s2=estimate[:3] if nominal is None else nominal @ estimate[:3],
         reduced_chi2=chi2,
         rests=int(tilt_rad.size),
     )
@@ -222,10 +202,7 @@ def rest_means(time_s: FloatArray, accel_m_s2: FloatArray, angle_rad: FloatArray
 
 
 def level_from_rests(
-    time_s: FloatArray,
-    accel_m_s2: FloatArray,
-    angle_rad: FloatArray,
-    nominal: FloatArray | None = None,
+    time_s: FloatArray, accel_m_s2: FloatArray, angle_rad: FloatArray
 ) -> LevelEstimate:
     """Estimate tilt zero and lean from all rests of a recording.
 
@@ -236,16 +213,15 @@ def level_from_rests(
         time_s: of the samples, shape (n,).
         accel_m_s2: shape (n, 3).
         angle_rad: commanded pan and tilt at the samples, (2, n).
-        nominal: nominal mount of the board, stage to board, (3, 3).
 
     Raises:
         InputError: there are too few rests or tilts, or the tilts are too close to each other.
     """
     rests = rest_means(time_s, accel_m_s2, angle_rad)
     positions_and_readings = rests.pan_rad, rests.tilt_rad, rests.reading_m_s2
-    first = estimate_level(*positions_and_readings, rests.std_m_s2, nominal)
+    first = estimate_level(*positions_and_readings, rests.std_m_s2)
     if first.reduced_chi2 <= 1.0:
         return first
     widened_std = rests.std_m_s2 * float(np.sqrt(first.reduced_chi2))
-    widened = estimate_level(*positions_and_readings, widened_std, nominal)
+    widened = estimate_level(*positions_and_readings, widened_std)
     return replace(widened, reduced_chi2=first.reduced_chi2)

@@ -17,6 +17,7 @@ from gyrorig_protocol.errors import GyrorigError
 from gyrorig_protocol.identity import BoardId
 from gyrorig_protocol.recording.recording import Recording
 from gyrorig_solver.calibration import find_profile
+from gyrorig_solver.calibration.calibration_builder import level_record
 from gyrorig_solver.calibration.calibration_wording import level_sentence
 from gyrorig_solver.data import FloatArray
 from gyrorig_solver.data.stream.gain_checks import check_gain
@@ -242,8 +243,7 @@ def _setup_remarks(data: BoardData, fit_explanation: FitExplanation) -> list[str
     sessions = fit_explanation.solution_extended.sessions
     level = stage_level(data.samples[-1], sessions[-1].reference)
     if level is not None:
-        zero = level.tilt_zero_rad, level.tilt_zero_std_rad
-        remarks.append(level_sentence(zero, level.lean_rad, level.lean_std_rad, level.rests))
+        remarks.append(level_sentence(level_record(level)))
     if len(data.recordings) > 1:
         for recording, session in zip(data.recordings, sessions, strict=True):
             bias = ", ".join(f"{v:+.4f}" for v in np.degrees(session.bias_rad_s))

@@ -22,10 +22,9 @@ from gyrorig_solver.estimate import (
     ConvergedFit,
     FittedTerm,
     GyroFit,
-    StageLevel,
 )
 from gyrorig_solver.estimate.motion_fit import create_session, solve_motion, summarize_motion_fit
-from gyrorig_solver.model import RecordingContext
+from gyrorig_solver.model import LevelEstimate, RecordingContext
 from gyrorig_solver.model.leveling import level_from_rests
 from gyrorig_solver.pipeline.board_data import (
     BoardData,
@@ -148,7 +147,7 @@ def _require_unit(recordings: Sequence[Recording]) -> None:
         )
 
 
-def stage_level(samples: GyroSamples, reference: ReferenceMotion) -> StageLevel | None:
+def stage_level(samples: GyroSamples, reference: ReferenceMotion) -> LevelEstimate | None:
     """Estimate the stage's level from the accelerometer; None where it cannot be estimated."""
     if not isinstance(reference, PanTiltReference) or samples.number.size > MAX_SAMPLES_FOR_LEVEL:
         return None
@@ -156,15 +155,6 @@ def stage_level(samples: GyroSamples, reference: ReferenceMotion) -> StageLevel 
     if accel is None:
         return None
     try:
-        level = level_from_rests(samples.time_s, accel, reference.angles_rad(samples.time_s))
+        return level_from_rests(samples.time_s, accel, reference.angles_rad(samples.time_s))
     except InputError:  # too few tilts; the recording itself is fine
         return None
-    right, forward = (float(v) for v in level.lean_rad)
-    right_std, forward_std = (float(v) for v in level.lean_std_rad)
-    return StageLevel(
-        tilt_zero_rad=level.offset_rad,
-        tilt_zero_std_rad=level.offset_std_rad,
-        lean_rad=(right, forward),
-        lean_std_rad=(right_std, forward_std),
-        rests=level.rests,
-    )

@@ -239,10 +239,7 @@ def clock_rows(clock: ClockQuality) -> list[tuple[str, str]]:
 def level_text(calibration: CalibrationDocument) -> str:
     """Return the unit's leveling from the board's accelerometer; empty if not estimated."""
     level = calibration.quality.level
-    if level is None:
-        return ""
-    zero = level.tilt_zero, level.tilt_zero_std
-    return level_sentence(zero, level.lean, level.lean_std, level.rests)
+    return "" if level is None else level_sentence(level)
 
 
 def recording_rows(calibration: CalibrationDocument) -> list[dict[str, str]]:

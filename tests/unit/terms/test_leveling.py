@@ -9,7 +9,6 @@ from scipy.spatial.transform import Rotation
 from gyrorig_protocol.errors import InputError
 from gyrorig_solver.model.leveling import (
     LEVEL_STD_RAD,
-    LevelEstimate,
     estimate_level,
     level_from_rests,
 )
@@ -17,17 +16,6 @@ from gyrorig_solver.model.leveling import (
 TILTS = np.radians([-60.0, -35.0, -10.0, 15.0, 30.0])
 PANS = np.radians([-150.0, -60.0, 20.0, 110.0])
 STD = 0.002
-
-
-def lean_forward(
-    level: LevelEstimate,
-    misalignment_x_rad: float,
-    misalignment_std_rad: float,
-    die_tolerance_rad: float = 0.02,
-) -> tuple[float, float]:
-    """The pan axis' lean forward at the rests' pans, from gyro and gravity, and its std."""
-    spread = np.hypot(np.hypot(level.upright_std_rad, misalignment_std_rad), die_tolerance_rad)
-    return level.upright_rad + misalignment_x_rad, float(spread)
 
 
 def about(axis: str, angle_rad: Any) -> Rotation:
@@ -73,7 +61,7 @@ def test_offset_and_lean_are_recovered() -> None:
                 *((level.lean_rad - np.array(lean)) / level.lean_std_rad),
             ]
         )
-        assert level.pans_separate_lean
+        assert np.all(level.lean_std_rad < 0.5 * LEVEL_STD_RAD)
     spread = np.std(off, axis=0)
     assert np.all((spread > 0.85) & (spread < 1.15))
     assert np.all(np.abs(np.mean(off, axis=0)) < 0.25)
@@ -108,25 +96,8 @@ def test_at_one_pan_lean_and_offset_are_inseparable() -> None:
     rng = np.random.default_rng(1)
     reading = readings(pan, TILTS, 0.005, Rotation.identity(), lean, rng)
     level = estimate_level(pan, TILTS, reading, STD)
-    assert not level.pans_separate_lean
+    assert np.any(level.lean_std_rad > 0.5 * LEVEL_STD_RAD)
     assert level.offset_std_rad == pytest.approx(LEVEL_STD_RAD, rel=0.1)
-    forward = lean[1] * np.cos(0.6) - lean[0] * np.sin(0.6)
-    assert level.upright_rad == pytest.approx(0.005 + forward, abs=4 * level.upright_std_rad)
-    assert level.upright_std_rad < 1e-3
-    # The gyro, which knows m - z = -0.005 by the rates, brings out the lean.
-    value, std = lean_forward(level, -0.005, 1e-4, die_tolerance_rad=0.01)
-    assert value == pytest.approx(forward, abs=4 * level.upright_std_rad)
-    assert 0.01 < std < 0.0101
-
-
-def test_nominal_mount_is_removed() -> None:
-    pan, tilt = grid()
-    upside = Rotation.from_matrix(np.array([[0.0, 1, 0], [1, 0, 0], [0, 0, -1]]))
-    reading = readings(pan, tilt, 0.015, upside, (0.0, 0.0), np.random.default_rng(2))
-    level = estimate_level(pan, tilt, reading, STD, nominal=upside.as_matrix())
-    assert level.offset_rad == pytest.approx(0.015, abs=4 * level.offset_std_rad)
-    assert level.bias_m_s2 == pytest.approx([0.3, -0.4, 0.8], abs=0.03)
-    assert level.reduced_chi2 == pytest.approx(1.0, abs=0.6)
 
 
 @pytest.mark.parametrize("tilts", [[0.0, 0.0, 0.001], [0.0, 0.1, 0.2], [-0.5, 0.5]])
