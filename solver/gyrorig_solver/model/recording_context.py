@@ -30,7 +30,6 @@ class RecordingContext:
     motion_profiles: tuple[tuple[int, MotionProfile], ...] = ()  # axis (0 pan, 1 tilt), profile
     begin_s: float = 0.0  # of the recording, on its time axis
     end_s: float = 0.0
-    power_on_s: float | None = None  # of the board; None if unknown
     full_scale_rad_s: float | None = None  # of the configured range
     quantum_rad_s: float = 0.0  # one count
     sample_period_s: float | None = None

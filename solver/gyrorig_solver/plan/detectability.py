@@ -96,11 +96,6 @@ class DetectabilityReport:
     not_applicable: tuple[tuple[Term, str], ...]  # cannot be looked at here, and why
 
     @property
-    def undetectable(self) -> tuple[CauseDetectability, ...]:
-        """The causes that are not detectable at any possible size."""
-        return tuple(cause for cause in self.causes if not cause.is_detectable)
-
-    @property
     def mean_identifiable_size(self) -> float:
         """Geometric mean over the causes of the identifiable size in typical sizes.
 
@@ -112,11 +107,6 @@ class DetectabilityReport:
             size = min(cause.identifiable_size / cause.typical, UNDETECTABLE_SIZE)
             logs.setdefault(cause.term.cause, []).append(float(np.log(size)))
         return float(np.exp(np.mean([np.mean(places) for places in logs.values()])))
-
-    @property
-    def max_parameter_bias_sigma(self) -> float:
-        """The largest parameter bias, in standard uncertainties."""
-        return max((cause.parameter_bias_sigma for cause in self.causes), default=0.0)
 
 
 def predict_detectability(

@@ -55,7 +55,6 @@ class StaticPoses:
     last_sample: tuple[int, ...]  # of its last sample
     direction: FloatArray  # (n, 3), unit vectors, accelerometer frame, up
     accel: AccelerometerCalibration
-    threshold_multiplier: int
 
 
 def find_poses(
@@ -83,7 +82,7 @@ def find_poses(
         rests = _find_rests(time_s, variance < multiplier * rest_variance)
         max_rests = max(max_rests, len(rests))
         if len(rests) >= MIN_POSES:
-            candidates.append(_calibrate_poses(time_s, accel_m_s2, rests, gravity_m_s2, multiplier))
+            candidates.append(_calibrate_poses(time_s, accel_m_s2, rests, gravity_m_s2))
     if not candidates:
         raise InputError(
             "the recording has too few rests to calibrate the accelerometer by gravity "
@@ -111,7 +110,6 @@ def _calibrate_poses(
     accel: FloatArray,
     rests: list[tuple[int, int]],
     gravity_m_s2: float,
-    multiplier: int,
 ) -> StaticPoses:
     means = np.array([accel[a : b + 1].mean(axis=0) for a, b in rests])
     calibration = calibrate_accelerometer(means, gravity_m_s2)
@@ -122,7 +120,6 @@ def _calibrate_poses(
         last_sample=tuple(b for _, b in rests),
         direction=force / np.linalg.norm(force, axis=1)[:, None],
         accel=calibration,
-        threshold_multiplier=multiplier,
     )
 
 

@@ -64,7 +64,7 @@ def test_boards_share_one_time_up_to_the_interrupt_delay() -> None:
         moved = fit_shared_time({str(k): bus.seen(k) for k in range(6)})
         assert len(moved) == 6
         apart.append(bus.apart_s(moved))
-        assert all(shift.board_count == 6 and shift.edge_count == 375 for shift in moved.values())
+        assert all(shift.board_count == 6 for shift in moved.values())
     assert np.sqrt(np.mean(np.square(apart))) < APART_S
 
 

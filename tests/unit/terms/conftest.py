@@ -157,7 +157,6 @@ def build(
         rad_per_step=(step, step),
         begin_s=0.0,
         end_s=seconds,
-        power_on_s=-5.0,
         full_scale_rad_s=4.36,
         quantum_rad_s=1.5e-4,
         sample_period_s=1.0 / RATE_HZ,

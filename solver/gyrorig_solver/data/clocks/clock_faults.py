@@ -41,7 +41,6 @@ class ClockFault:
 
     kind: ClockFaultKind
     index: int  # of the first sample after it
-    shift_s: float  # of the lag (arrival minus device time), NaN if not measured
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -172,9 +171,7 @@ class FaultClassifier:
         if abs(shift_s) <= limit_s:
             return
         restarted = abs(shift_s) > 0.5 and self._may_have_restarted(index)
-        self._start_segment(
-            ClockFaultKind.RESTART if restarted else ClockFaultKind.STEP, index, shift_s
-        )
+        self._start_segment(ClockFaultKind.RESTART if restarted else ClockFaultKind.STEP, index)
 
     def _floor_shift(self, index: int, wraps: int) -> tuple[float, float, float, float]:
         """Return the shift of the floor, its scatter before, and the times before and after."""
@@ -250,8 +247,6 @@ class FaultClassifier:
             and sample_count * stream.period_s < RECENT_START_S
         )
 
-    def _start_segment(
-        self, kind: ClockFaultKind, index: int, shift_s: float = float("nan")
-    ) -> None:
+    def _start_segment(self, kind: ClockFaultKind, index: int) -> None:
         self.segment_starts.append(index)
-        self.faults.append(ClockFault(kind, index, shift_s))
+        self.faults.append(ClockFault(kind, index))

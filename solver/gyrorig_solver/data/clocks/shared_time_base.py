@@ -52,9 +52,7 @@ class TimeCorrection:
     """Correction of the times of one board to the shared time."""
 
     late: Envelope  # over the board's times, since its origin
-    edge_count: int
     board_count: int  # boards that share the time
-    spread_s: float  # robust standard deviation of the edges
 
     @property
     def rms_s(self) -> float:
@@ -154,9 +152,7 @@ def _fit_corrections(
     return {
         name: TimeCorrection(
             Envelope(knots_s + (origin_ns - board_origin_ns) * 1e-9, knot_late[k]),
-            int(observed[k].sum()),
             boards,
-            spread_s,
         )
         for k, (name, board_origin_ns) in enumerate(origins_ns.items())
     }

@@ -90,7 +90,7 @@ def unwrap_ticks(
         segment[index:] += 1
         end = int(np.searchsorted(segment, segment[index], side="right"))
         device_s[index:end] -= device_s[index]
-        faults.append(ClockFault(ClockFaultKind.STEP, index, float("nan")))
+        faults.append(ClockFault(ClockFaultKind.STEP, index))
     late_mask = np.zeros(ticks.size, dtype=np.bool_)
     late_mask[classifier.late_samples] = True
     faults.sort(key=lambda fault: fault.index)

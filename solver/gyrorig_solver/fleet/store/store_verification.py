@@ -74,14 +74,14 @@ def verify(store: Path | Storage, key: Ed25519PublicKey | None = None) -> Verifi
     storage = storage_at(store)
     index = open_index(storage)
     sql = "SELECT file, file_sha256, beside FROM rows WHERE status = 'ok'"
-    indexed = _indexed_files(index.query(sql))
+    indexed = _indexed_digests(index.query(sql))
     manifest_digests, faults = _read_manifest_digests(storage, key)
     check = _StoreCheck(storage, indexed, manifest_digests, key is not None)
     for _, entries in groupby(
         list_documents(storage), lambda entry: PurePosixPath(entry.name).parent
     ):
         check.check_board(list(entries))
-    missing = sorted({*indexed.digests, *manifest_digests} - check.seen)
+    missing = sorted({*indexed, *manifest_digests} - check.seen)
     missing_faults = [
         StoreFault("missing", name, "the file was written, but it no longer exists")
         for name in missing
@@ -93,15 +93,8 @@ def verify(store: Path | Storage, key: Ed25519PublicKey | None = None) -> Verifi
     )
 
 
-@dataclass(frozen=True, slots=True)
-class _IndexedFiles:
-    """The files that the index lists."""
-
-    digests: dict[str, str]  # by name, of documents and the files next to them
-    documents: frozenset[str]
-
-
-def _indexed_files(rows: Sequence[Sequence[Any]]) -> _IndexedFiles:
+def _indexed_digests(rows: Sequence[Sequence[Any]]) -> dict[str, str]:
+    """Return the digests in the index by name, of documents and the files next to them."""
     digests: dict[str, str] = {}
     for file, digest, companions in rows:
         digests[file] = digest
@@ -109,7 +102,7 @@ def _indexed_files(rows: Sequence[Sequence[Any]]) -> _IndexedFiles:
         for line in companions or ():
             companion_digest, _, name = line.partition("  ")
             digests[f"{folder}/{name}"] = companion_digest
-    return _IndexedFiles(digests, frozenset(file for file, *_ in rows))
+    return digests
 
 
 def _read_manifest_digests(
@@ -150,7 +143,7 @@ class _StoreCheck:
     """State of a verification that goes through all documents, board by board."""
 
     storage: Storage
-    indexed: _IndexedFiles
+    indexed: dict[str, str]  # digests by name
     manifest_digests: dict[str, str]
     requires_signature: bool
     boards: int = 0
@@ -172,15 +165,15 @@ class _StoreCheck:
             self.versions += 1
         for name in sorted({entry.name for entry in entries} - documents):
             # Files without a row are skipped, such as a report whose batch was killed.
-            if name in self.indexed.digests or name in self.manifest_digests:
+            if name in self.indexed or name in self.manifest_digests:
                 self._check_digest(name, hashlib.sha256(self.storage.read(name) or b"").hexdigest())
 
     def _check_digest(self, name: str, digest: str) -> None:
         self.seen.add(name)
-        if name not in self.indexed.digests:
+        if name not in self.indexed:
             if name not in self.manifest_digests:
                 self.faults.append(StoreFault("unknown", name, "the index does not list it"))
-        elif self.indexed.digests[name] != digest:
+        elif self.indexed[name] != digest:
             self.faults.append(StoreFault("damaged", name, "its SHA-256 differs from the index"))
             return
         if name in self.manifest_digests and self.manifest_digests[name] != digest:

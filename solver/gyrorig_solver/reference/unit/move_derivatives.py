@@ -25,7 +25,6 @@ from gyrorig_solver.reference.unit.stage_kinematics import StageRateJacobian
 class MoveInWindow:
     """One move in a window."""
 
-    number_on_axis: int  # among the moves of the axis
     move: int  # among all moves
     intervals: slice  # intervals of the window with the move
     samples: SampledTrajectory  # the edges in motion
@@ -80,7 +79,7 @@ class AxisDerivatives:
             inside = samples.subset(slice(low, high))
             move = int(track.moves[first + n])
             ends = (low - at.start, at.stop + 1 - high)
-            self.moves.append(MoveInWindow(first + n, move, at, inside, *ends))
+            self.moves.append(MoveInWindow(move, at, inside, *ends))
 
     def by_starts(self, shared: FloatArray) -> Iterator[LocalDerivative]:
         """Yield the derivatives by start times; add those by speed and acceleration to `shared`.
