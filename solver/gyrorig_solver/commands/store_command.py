@@ -18,7 +18,7 @@ from gyrorig_solver.commands.stored_versions import (
     read_version,
     versions_in_time,
 )
-from gyrorig_solver.commands.terminal import Terminal, json_option
+from gyrorig_solver.commands.terminal import Terminal, format_table, json_option
 from gyrorig_solver.fleet.column_units import column_label, column_unit
 from gyrorig_solver.fleet.drift.shrinkage_files import read_shrinkage_estimates
 from gyrorig_solver.fleet.store import open_existing_store, read_signer, rebuild_index, verify
@@ -307,13 +307,8 @@ def _difference_with_unit(row: dict[str, Any]) -> dict[str, Any]:
 
 def _table(rows: Sequence[dict[str, Any]], headings: dict[str, str]) -> str:
     """Return rows as a text table; `headings` has the columns and the words above them."""
-    cells = [
-        list(headings.values()),
-        *([_cell_text(row.get(name)) for name in headings] for row in rows),
-    ]
-    widths = [max(len(line[i]) for line in cells) for i in range(len(headings))]
-    lines = ("  ".join(f"{c:<{w}}" for c, w in zip(line, widths, strict=True)) for line in cells)
-    return "\n".join(line.rstrip() for line in lines)
+    cells = [[_cell_text(row.get(name)) for name in headings] for row in rows]
+    return "\n".join(format_table([list(headings.values()), *cells]))
 
 
 def _cell_text(value: Any) -> str:

@@ -189,6 +189,12 @@ def import_measurements(
 ) -> ImportSummary:
     """Convert a measurement file to a recording.
 
+    Args:
+        source: `.npz` or a text table.
+        mapping: meaning of the columns.
+        out: the recording, `.mcap`; it must not exist.
+        board: name of the board, instead of that in the map.
+
     Raises:
         InputError: the input does not agree with the map; nothing is written.
         UsageError: the map contradicts itself, or `out` exists or is not named `.mcap`.

@@ -36,6 +36,12 @@ def solve_recordings(
 ) -> GyroFit:
     """Calibrate one board by the best reference of its recordings; see `fit_board`.
 
+    Args:
+        recordings: in any order.
+        board: in each of them.
+        extend: causes of the catalogue to fit in addition to the base model; with a unit only.
+        named_terms: causes that a search named, to fit too; with a unit only.
+
     Raises:
         InputError: the board is not in a recording, or there is no reference of any kind.
         UsageError: the recordings cannot be solved together, or a cause is unknown.
