@@ -7,7 +7,7 @@ import numpy as np
 
 from gyrorig_protocol.recording.reader import read_recording
 from gyrorig_solver.model import factorise
-from gyrorig_solver.pipeline.fit_board import solve_recording
+from gyrorig_solver.pipeline import solve_recordings
 
 # Second-order Butterworth, 25 Hz: the delay at zero frequency that the published lag,
 # taken before the sensor's low-pass, does not hold.
@@ -34,7 +34,7 @@ def published(contracts: Path) -> dict[str, float]:
 def test_every_parameter_is_within_its_deviations(contracts: Path) -> None:
     recording = read_recording(contracts / "sample.mcap")
     assert recording.is_complete
-    fit = solve_recording(recording, "GY80-P4242")
+    fit = solve_recordings([recording], "GY80-P4242")
     truth = published(contracts)
     assert set(fit.order) == set(truth)
     off = {n: (fit.value(n) - truth[n]) / fit.std[n] for n in fit.order}
@@ -52,7 +52,7 @@ def test_a_cut_recording_is_solved_and_says_what_is_lost(contracts: Path, tmp_pa
     cut = tmp_path / "cut.mcap.part"
     cut.write_bytes(whole[: len(whole) * 9 // 10])
     recording = read_recording(cut)
-    fit = solve_recording(recording, "GY80-P4242")
+    fit = solve_recordings([recording], "GY80-P4242")
     assert recording.losses
     assert [w for w in fit.warnings if "cut.mcap.part: " in w] == [
         f"cut.mcap.part: {loss.text}" for loss in recording.losses
@@ -61,7 +61,8 @@ def test_a_cut_recording_is_solved_and_says_what_is_lost(contracts: Path, tmp_pa
 
 def test_solving_again_changes_no_number(contracts: Path) -> None:
     first, second = (
-        solve_recording(read_recording(contracts / "sample.mcap"), "GY80-P4242") for _ in range(2)
+        solve_recordings([read_recording(contracts / "sample.mcap")], "GY80-P4242")
+        for _ in range(2)
     )
     assert [first.value(n) for n in first.order] == [second.value(n) for n in second.order]
     assert np.array_equal(first.covariance, second.covariance)

@@ -49,11 +49,6 @@ def solve_recordings(
     return fit_board(load_board(recordings, board), extend, named_terms)
 
 
-def solve_recording(recording: Recording, board: str) -> GyroFit:
-    """Calibrate one board of one recording; see `solve_recordings`."""
-    return solve_recordings([recording], board)
-
-
 def fit_board(
     data: BoardData, extend: Sequence[str] = (), named_terms: Sequence[FittedTerm] = ()
 ) -> GyroFit:

@@ -13,7 +13,7 @@ from gyrorig_protocol.program import MotionProgram, parse_program, unroll_steps
 from gyrorig_protocol.recording.reader import read_recording
 from gyrorig_solver import cli
 from gyrorig_solver.model import FACTOR_NAMES
-from gyrorig_solver.pipeline.fit_board import solve_recording
+from gyrorig_solver.pipeline import solve_recordings
 from gyrorig_solver.plan import RigModel, find_program, predict_program
 from gyrorig_solver.plan.criterion import bias_excess, cost
 from gyrorig_solver.plan.program_family import MotionSpace, build_program, draw_design
@@ -70,7 +70,7 @@ def test_emulated_rig_confirms_it(
 ) -> None:
     path, truth = record(planned, 4)
     recording = read_recording(path)
-    fit = solve_recording(recording, recording.board_ids[0])
+    fit = solve_recordings([recording], recording.board_ids[0])
     assert fit.observability.rank == 12
     assert not fit.limited_reasons
     assert fit.noise is not None

@@ -13,7 +13,7 @@ from gyrorig_protocol.program import MotionProgram, parse_program
 from gyrorig_protocol.recording.reader import read_recording
 from gyrorig_solver.data.samples import load_samples
 from gyrorig_solver.estimate.gyro_fit import NoiseLevels
-from gyrorig_solver.pipeline.fit_board import solve_recording
+from gyrorig_solver.pipeline import solve_recordings
 from gyrorig_solver.plan import RigModel, load_rig, predict_program
 from gyrorig_solver.plan.program_timeline import simulate_program
 from gyrorig_solver.plan.sensor_model import SensorModel
@@ -40,7 +40,7 @@ def test_as_solve_says_of_itself(
     path, _ = record(PROGRAMS / f"{name}.yaml", seed)
     recording = read_recording(path)
     board = recording.board_ids[0]
-    fit = solve_recording(recording, board)
+    fit = solve_recordings([recording], board)
     assert fit.noise is not None
     prediction = predict_program(shipped(name), rig.unit, with_noise(sensor, fit.noise))
     assert prediction.observability.unobservable == fit.observability.unobservable
