@@ -259,20 +259,12 @@ def _candidate_shifts(
     multiplied by the temperature difference between the group's nights and its baseline.
     """
     variance = chart.variance
+    mean, mean_variance = group_means_of_chart(
+        chart, grouping, shift, variance, chart.temperature_offset_c
+    )
+    z = mean / np.sqrt(mean_variance)
     charted = np.isfinite(variance) & (grouping.group_index >= 0)
-    weight = np.where(charted, 1.0 / variance, 0.0)
-    group = np.where(charted, grouping.group_index, 0)
-    count = len(grouping.names)
-    board_count = np.bincount(group, charted, count)
-    total = np.bincount(group, weight, count)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        mean = np.bincount(group, weight * np.where(charted, shift, 0.0), count) / total
-        slope_error_variance = np.zeros(count)
-        for of_kind, slope_variance in chart.slope_variances:
-            offset_c = np.where(charted & of_kind, weight * chart.temperature_offset_c, 0.0)
-            mean_offset_c = np.bincount(group, offset_c, count) / total
-            slope_error_variance += mean_offset_c**2 * slope_variance
-        z = mean / np.sqrt(1.0 / total + slope_error_variance)
+    board_count = np.bincount(grouping.group_index[charted], minlength=len(grouping.names))
     for index in np.flatnonzero((board_count >= 2) & (np.abs(np.nan_to_num(z)) > limit)):
         members: BoolArray = charted & (grouping.group_index == index)
         scores = shift[members] / np.sqrt(variance[members])
@@ -291,6 +283,35 @@ def _candidate_shifts(
                 p_value,
             )
             yield group_shift, members
+
+
+def group_means_of_chart(
+    chart: DriftChart,
+    grouping: Grouping,
+    shift: FloatArray,
+    variance: FloatArray,
+    temperature_offset_c: FloatArray,
+) -> tuple[FloatArray, FloatArray]:
+    """Return the weighted mean shift of each group and its variance, (groups,), NaN without any.
+
+    Args:
+        chart: whose slopes have errors.
+        grouping: the groups.
+        shift: of each board, shape (boards,).
+        variance: of each shift; a board without a finite one does not count.
+        temperature_offset_c: of each board.
+    """
+    counted = np.isfinite(variance) & (grouping.group_index >= 0)
+    group, count = np.where(counted, grouping.group_index, 0), len(grouping.names)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        weight = np.where(counted, 1.0 / variance, 0.0)
+        total = np.bincount(group, weight, count)
+        mean = np.bincount(group, np.where(counted, weight * shift, 0.0), count) / total
+        mean_variance = 1.0 / total
+        for of_sensor, slope_variance in chart.slope_variances:
+            offset_c = np.where(counted & of_sensor, weight * temperature_offset_c, 0.0)
+            mean_variance += (np.bincount(group, offset_c, count) / total) ** 2 * slope_variance
+    return mean, np.where(total > 0.0, mean_variance, np.nan)
 
 
 def benjamini_hochberg(

@@ -12,7 +12,7 @@ w = tau^2 / (tau^2 + s_i^2).
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 
 import numpy as np
 import numpy.typing as npt
@@ -42,15 +42,10 @@ class SpreadEstimate:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Population:
+class Population(SpreadEstimate):
     """One parameter over the boards of one sensor. Units are the parameter's."""
 
     parameter: str
-    boards: int
-    mean: float
-    mean_std: float
-    spread: float  # tau: standard deviation between boards
-    spread_std: float
     homogeneity_p_value: float  # of Cochran's test that all boards are equal
     is_outlier: BoolArray  # (n,): beyond `OUTLIER_SIGMA`
     z: FloatArray  # (n,): deviation over that of spread and calibration together
@@ -108,12 +103,8 @@ def fit_population(parameter: str, value: FloatArray, std: FloatArray) -> Popula
         value, variance, is_inlier, tau2, tau2_std
     )
     return Population(
+        **asdict(estimate),
         parameter=parameter,
-        boards=estimate.boards,
-        mean=estimate.mean,
-        mean_std=estimate.mean_std,
-        spread=estimate.spread,
-        spread_std=estimate.spread_std,
         homogeneity_p_value=_homogeneity_p_value(value[is_inlier], variance[is_inlier]),
         is_outlier=np.abs(z) > OUTLIER_SIGMA,
         z=z,

@@ -24,6 +24,7 @@ from gyrorig_solver.fleet.drift.ewma_charts import (
     DriftChart,
     Grouping,
     GroupShift,
+    group_means_of_chart,
 )
 from gyrorig_solver.fleet.drift.latest_calibrations import GROUP_KINDS, PARAMETER_COLUMNS
 from gyrorig_solver.fleet.store import NEWEST_FIRST_SQL, StoreIndex
@@ -236,19 +237,10 @@ def _group_ewma(
             chart.temperature_offset_history_c[night],
         )
         last = np.where(np.isfinite(chart.ewma_history[night]), tonight, last)
-        counted = np.isfinite(last[0]) & (grouping.group_index >= 0)
-        group = np.where(counted, grouping.group_index, 0)
-        weight = np.where(counted, 1.0 / last[1] ** 2, 0.0)
-        total = np.bincount(group, weight, count)
-        slope_variance = np.zeros(count)
-        with np.errstate(invalid="ignore", divide="ignore"):
-            mean = np.bincount(group, np.where(counted, weight * last[0], 0.0), count) / total
-            for of_sensor, variance in chart.slope_variances:
-                offset_c = np.where(counted & of_sensor, weight * last[2], 0.0)
-                slope_variance += (np.bincount(group, offset_c, count) / total) ** 2 * variance
-            mean_std = np.sqrt(1.0 / total + slope_variance)
-        ewma[night] = np.where(total > 0.0, mean, np.nan)
-        std[night] = np.where(total > 0.0, mean_std, np.nan)
+        ewma[night], variance = group_means_of_chart(
+            chart, grouping, last[0], last[1] ** 2, last[2]
+        )
+        std[night] = np.sqrt(variance)
     return ewma, std
 
 
