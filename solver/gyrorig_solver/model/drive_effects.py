@@ -76,17 +76,17 @@ def moving_average(edges_s: FloatArray, angle_rad: FloatArray, width_s: float) -
 
 
 def second_derivative(edges_s: FloatArray, angle_rad: FloatArray) -> FloatArray:
-    """Return the angle's second derivative at the edges, (n + 1,), zero at the ends."""
+    """Return the angles' second derivative at the edges, (..., n + 1), zero at the ends."""
     rate = np.diff(angle_rad) / np.diff(edges_s)
     result = np.zeros_like(angle_rad)
-    result[1:-1] = np.diff(rate) / ((edges_s[2:] - edges_s[:-2]) / 2.0)
+    result[..., 1:-1] = np.diff(rate) / ((edges_s[2:] - edges_s[:-2]) / 2.0)
     return result
 
 
 def resonance_deflection(
-    edges_s: FloatArray, angle_rad: FloatArray, frequency_hz: float, damping: float
+    edges_s: FloatArray, acceleration_rad_s2: FloatArray, frequency_hz: float, damping: float
 ) -> FloatArray:
-    """Return the deflection q of q'' + 2 z w q' + w^2 q = -angle'', (n + 1,).
+    """Return the deflection q of q'' + 2 z w q' + w^2 q = -acceleration, (..., n + 1).
 
     The acceleration is constant between edges; a discrete system with the same poles is exact for
     that (zero-order hold).
@@ -94,10 +94,12 @@ def resonance_deflection(
     w = 2.0 * np.pi * frequency_hz
     step_s = float(edges_s[-1] - edges_s[0]) / (edges_s.size - 1)
     numerator, denominator = step_invariant(w, damping, step_s)
-    excitation = -second_derivative(edges_s, angle_rad)
     # Constant from half a step before to half a step after its edge.
-    interval_means = np.append((excitation[:-1] + excitation[1:]) / 2.0, 0.0)
-    return filter_from_rest(numerator, denominator, interval_means)
+    interval_means = np.zeros_like(acceleration_rad_s2)
+    np.add(
+        acceleration_rad_s2[..., :-1], acceleration_rad_s2[..., 1:], out=interval_means[..., :-1]
+    )
+    return filter_from_rest(-0.5 * numerator, denominator, interval_means)
 
 
 def replan_with_limits(

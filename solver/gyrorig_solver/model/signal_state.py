@@ -24,6 +24,7 @@ from scipy.sparse import csr_array
 
 from gyrorig_solver.data import BoolArray, FloatArray
 from gyrorig_solver.model.angle_waves import AngleWaves
+from gyrorig_solver.model.drive_effects import second_derivative
 from gyrorig_solver.model.hermite_interpolation import HermiteInterpolator
 from gyrorig_solver.model.low_pass import LowPass
 from gyrorig_solver.model.recording_context import RecordingContext
@@ -159,6 +160,11 @@ class SignalState:
     def angle_waves(self) -> AngleWaves:
         """Waves of the angles at the edges."""
         return AngleWaves(self.angle_rad)
+
+    @cached_property
+    def angle_acceleration_rad_s2(self) -> FloatArray:
+        """The second derivative of the angles at the edges, shape (2, n + 1)."""
+        return second_derivative(self.edges_s, self.angle_rad)
 
     @property
     def pan_rate_rad_s(self) -> FloatArray:

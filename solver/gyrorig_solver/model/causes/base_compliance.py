@@ -47,7 +47,7 @@ class BaseCompliance(LinearAngleTerm):
 
     def angle_shapes(self, state: SignalState, values: FloatArray) -> list[tuple[int, FloatArray]]:
         """Return minus the accelerations."""
-        return [(k, -second_derivative(state.edges_s, state.angle_rad[k])) for k in (0, 1)]
+        return list(enumerate(-state.angle_acceleration_rad_s2))
 
     def effect(self, state: SignalState, values: FloatArray) -> FloatArray:
         """Return the change of the measured rate, (blocks, 3)."""

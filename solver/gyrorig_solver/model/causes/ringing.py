@@ -57,7 +57,9 @@ class Ringing(LinearAngleTerm):
     def angle_shapes(self, state: SignalState, values: FloatArray) -> list[tuple[int, FloatArray]]:
         """Return the deflections of pan and tilt."""
         mode = float(values[2]), float(values[3])
-        return [(k, resonance_deflection(state.edges_s, state.angle_rad[k], *mode)) for k in (0, 1)]
+        return list(
+            enumerate(resonance_deflection(state.edges_s, state.angle_acceleration_rad_s2, *mode))
+        )
 
     def template_bank(self, state: SignalState) -> FloatArray:
         """Scan the mode as finely as its damping requires."""
