@@ -50,11 +50,10 @@ def angle_error(error_rad_s: FloatArray, step_s: float) -> tuple[FloatArray, Flo
     lengths, angles = [], []
     sums = _RunningSums(error_rad_s)
     for window in window_lengths(error_rad_s.shape[0]):
-        means, is_whole = sums.window_means(window)
-        if np.any(is_whole):
+        squares, count = sums.squared_means(window)
+        if count:
             lengths.append(window * step_s)
-            angle_rad = means[is_whole] * window * step_s
-            angles.append(float(np.sqrt(np.mean(np.sum(angle_rad**2, axis=1)))))
+            angles.append(float(np.sqrt(np.sum(squares) / count)) * window * step_s)
     return np.array(lengths), np.array(angles)
 
 
@@ -63,10 +62,10 @@ def allan_deviation(rate_rad_s: FloatArray, step_s: float) -> tuple[FloatArray, 
     taus, deviations = [], []
     sums = _RunningSums(rate_rad_s)
     for window in window_lengths(rate_rad_s.shape[0]):
-        means, is_whole = sums.window_means(window, behind=window)
-        if np.any(is_whole):
+        squares, count = sums.squared_means(window, behind=window)
+        if count:
             taus.append(window * step_s)
-            deviations.append(np.sqrt(0.5 * np.mean(means[is_whole] ** 2, axis=0)))
+            deviations.append(np.sqrt(0.5 * squares / count))
     return np.array(taus), np.array(deviations).reshape(-1, rate_rad_s.shape[1])
 
 
@@ -88,30 +87,34 @@ class _RunningSums:
             values: shape (n, 3), nan where there are none.
         """
         known = np.asarray(np.isfinite(values).all(axis=1), dtype=np.bool_)
-        self._total = np.zeros((values.shape[0] + 1, 3))
-        np.cumsum(np.where(known[:, None], values, 0.0), axis=0, out=self._total[1:])
+        self._total = np.zeros((values.shape[1], values.shape[0] + 1))
+        np.cumsum(
+            np.where(known, np.ascontiguousarray(values.T), 0.0), axis=1, out=self._total[:, 1:]
+        )
         self._count = np.concatenate([[0], np.cumsum(known)])
 
-    def window_means(self, m: int, behind: int = 0) -> tuple[FloatArray, BoolArray]:
-        """Return the means of windows, or differences of two windows; and which are complete.
+    def squared_means(self, m: int, behind: int = 0) -> tuple[FloatArray, int]:
+        """Return the sum over complete windows of the square of each axis' mean, and their number.
 
         Args:
             m: blocks in a window.
-            behind: blocks between the starts of the two windows; 0: no difference.
+            behind: blocks between the starts of two windows, for the difference of their means;
+                0: no difference.
         """
         last = self._count.size - 1 - m - behind
         stride = max(1, last // _MAX_WINDOWS_PER_SPAN)
-        first, first_whole = self._means(slice(0, max(0, last + 1), stride), m)
-        if not behind:
-            return first, first_whole
-        later = slice(behind, behind + max(0, last + 1), stride)
-        second, second_whole = self._means(later, m)
-        return second - first, first_whole & second_whole
+        means, is_whole = self._means(slice(0, max(0, last + 1), stride), m)
+        if behind:
+            later = slice(behind, behind + max(0, last + 1), stride)
+            later_means, later_is_whole = self._means(later, m)
+            means, is_whole = later_means - means, is_whole & later_is_whole
+        if not is_whole.all():
+            means = means[:, is_whole]
+        return np.einsum("ak,ak->a", means, means), means.shape[1]
 
     def _means(self, start: slice, m: int) -> tuple[FloatArray, BoolArray]:
         stop = slice(start.start + m, start.stop + m, start.step)
         block_count = self._count[stop] - self._count[start]
-        means = (self._total[stop] - self._total[start]) / np.maximum(block_count, 1)[:, None]
-        return np.asarray(means, dtype=np.float64), np.asarray(
-            block_count >= _MIN_WINDOW_SHARE * m, dtype=np.bool_
-        )
+        means = self._total[:, stop] - self._total[:, start]
+        means *= 1.0 / np.maximum(block_count, 1)
+        return means, np.asarray(block_count >= _MIN_WINDOW_SHARE * m, dtype=np.bool_)
