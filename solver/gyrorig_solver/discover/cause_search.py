@@ -153,9 +153,7 @@ class _Search(Generic[Space]):
         space = self._drop_without_gain(elimination.space)
         is_complete = not elimination.eliminated - self._excluded and space is elimination.space
         self._excluded |= elimination.eliminated
-        if is_complete:
-            self._space = space
-        else:
+        if space is not self._space:
             self._continue_with(space)
         return is_complete
 
@@ -227,7 +225,7 @@ class _Search(Generic[Space]):
             self._considered,
             lambda swapped: swapped.convergence.converged and not _causes_without_gain(swapped),
         )
-        keep = not ranked_causes and (not self._typical or space.has_typical_noise)
+        keep = space is self._space and (not self._typical or space.has_typical_noise)
         return SearchResult(
             space,
             tuple(ranked.with_gain_limit(self._gains_by_label) for ranked in ranked_causes),
