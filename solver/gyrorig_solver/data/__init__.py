@@ -8,10 +8,11 @@ What to use when: `samples.load_samples` for the gyro samples of one board on th
 `count_columns` keeps long columns as counts, and `arrays` has the array types.
 """
 
-from gyrorig_solver.data.arrays import BoolArray, FloatArray, IntArray
+from gyrorig_solver.data.arrays import BoolArray, FloatArray, IntArray, RealArray
 
 __all__ = [
     "BoolArray",
     "FloatArray",
     "IntArray",
+    "RealArray",
 ]

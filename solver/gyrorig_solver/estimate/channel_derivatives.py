@@ -130,7 +130,7 @@ class ChannelDerivatives:
             local = np.zeros((self.local_count, index.size))
             gram = np.zeros((index.size, index.size))
             for piece in pieces:
-                signal = rows[:, piece.columns]
+                signal = np.asarray(rows[:, piece.columns], dtype=np.float64)
                 part = piece.rows @ signal.T
                 dense += part[: len(dense)]
                 local[piece.local_index] += part[len(dense) :]

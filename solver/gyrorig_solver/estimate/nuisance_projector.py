@@ -183,8 +183,11 @@ class NuisanceProjector(NuisanceSpace):
     def evaluate_together(
         self, functions: Sequence[SignalFunction], count: int, term: Term | None = None
     ) -> WhitenedSignals:
-        """Return `count` signals of several functions, one after the other, whitened."""
-        whiteners = [SignalWhitener(segment, count) for segment in self.segments]
+        """Return `count` signals of several functions, one after the other, whitened.
+
+        Only in single precision: `evaluate_signals` returns them in double precision.
+        """
+        whiteners = [SignalWhitener(segment, count, np.float32) for segment in self.segments]
         for function in functions:
             for whitener, parts in zip(
                 whiteners, self._signals_of(function, False, term), strict=True

@@ -10,14 +10,14 @@ from functools import cached_property
 import numpy as np
 from scipy.fft import dct, idct
 
-from gyrorig_solver.data import BoolArray, FloatArray, IntArray
+from gyrorig_solver.data import BoolArray, FloatArray, IntArray, RealArray
 from gyrorig_solver.estimate.linear.whitening import PartModel
 from gyrorig_solver.estimate.noise.noise_model import NoiseModel, dct_frequencies_hz
 from gyrorig_solver.estimate.noise.relative_std import mean_white_power
 from gyrorig_solver.estimate.whitened_signals import ChannelRows
 from gyrorig_solver.model import AxisBiases, Signals, SignalState
 
-ROWS_PER_BATCH = 8  # that a cache holds
+ROWS_PER_BATCH = 4  # that a cache holds
 SAMPLES_LOOKED_AT = 64  # that show that a signal is not zero
 
 
@@ -40,11 +40,13 @@ class SeriesSegment:
         return whitener.finish()
 
     def whiten_spectra(
-        self, axis: int, spectra: Sequence[FloatArray], parts: Sequence[FloatArray]
+        self, axis: int, spectra: Sequence[RealArray], parts: Sequence[RealArray]
     ) -> None:
         """Write signals of one axis, from their DCT, (r, n) of each part, in units of the noise."""
-        constants = [spectrum[:, 0].copy() for spectrum in spectra]
-        for spectrum, weight, rows in zip(spectra, self._weights, parts, strict=True):
+        constants = np.stack([spectrum[:, 0] for spectrum in spectra], axis=-1)
+        for spectrum, weight, rows in zip(
+            spectra, self._weights[parts[0].dtype.type], parts, strict=True
+        ):
             np.multiply(spectrum, weight[axis], out=rows)
         if len(parts) > 1:
             # The parts of a long series share its lowest frequencies; see `normal_equations`.
@@ -54,14 +56,14 @@ class SeriesSegment:
                 dct_frequencies_hz(blocks, rate_hz)[: len(parts)],
                 mean_white_power([model.relative_std for model in self.models]),
             )
-            scaled_constants = dct(np.stack(constants, axis=-1), axis=-1, norm="ortho")
+            scaled_constants = dct(constants, axis=-1, norm="ortho")
             scaled_constants /= np.sqrt(density[:, axis] * rate_hz / 2.0)
             for k, rows in enumerate(parts):
                 rows[:, 0] = scaled_constants[:, k]
         for rows, model in zip(parts, self.models, strict=True):
-            if model.relative_std is not None:
-                rows[...] = model.relative_std.divide_spectra(rows, axis)
             white = idct(rows, axis=-1, norm="ortho", overwrite_x=True)
+            if model.relative_std is not None:
+                white = model.relative_std.divide_signals(white, axis)
             if not np.may_share_memory(white, rows):
                 rows[...] = white
 
@@ -71,20 +73,30 @@ class SeriesSegment:
         return tuple(np.flatnonzero(~used) for used in self.used)
 
     @cached_property
-    def _weights(self) -> tuple[FloatArray, ...]:
-        """One over the standard deviation of each part's coefficients, (3, n) each."""
-        return tuple(
-            np.ascontiguousarray(self.noise.dct_variance(used.size).T) ** -0.5 for used in self.used
-        )
+    def _weights(self) -> dict[type, list[RealArray]]:
+        """One over the standard deviation of each part's coefficients, (3, n), by precision."""
+        variances = [self.noise.dct_variance(used.size).T for used in self.used]
+        weights = [np.ascontiguousarray(variance) ** -0.5 for variance in variances]
+        return {
+            precision: [weight.astype(precision, copy=False) for weight in weights]
+            for precision in (np.float64, np.float32)
+        }
 
 
 class SignalWhitener:
     """Whitens signals of a segment that come one after the other, some rows at a time."""
 
-    def __init__(self, segment: SeriesSegment, capacity: int) -> None:
+    def __init__(
+        self,
+        segment: SeriesSegment,
+        capacity: int,
+        precision: type[np.float32] | type[np.float64] = np.float64,
+    ) -> None:
         """Make room for as many signals as `capacity`."""
         self._segment, self._count = segment, 0
-        self._rows = [[np.empty((capacity, used.size)) for used in segment.used] for _ in range(3)]
+        self._rows: list[list[RealArray]] = [
+            [np.empty((capacity, used.size), precision) for used in segment.used] for _ in range(3)
+        ]
         self._index: list[list[int]] = [[], [], []]
         self._finished = [0, 0, 0]  # rows that are whitened
 
@@ -121,7 +133,7 @@ class SignalWhitener:
         for first in range(0, len(parts[0]), ROWS_PER_BATCH):
             spectra = []
             for part, unused in zip(parts, self._segment.unused, strict=True):
-                rows = part[first : first + ROWS_PER_BATCH].copy()
+                rows = part[first : first + ROWS_PER_BATCH].astype(self._rows[0][0].dtype)
                 rows[:, unused] = 0.0
                 spectra.append(dct(rows, axis=-1, norm="ortho", overwrite_x=True))
             for axis in range(3):

@@ -99,14 +99,15 @@ def whitened_effects(
     """Return the effects of causes, whitened and in units of their priors."""
     return join_signals(
         [
-            projector.evaluate_together(
-                [partial(scaled_tangents, cause, row) for row in cause.templates],
-                cause.signal_count,
-                cause.term,
-            )
+            projector.evaluate_signals(partial(_scaled_effects, cause), term=cause.term)
             for cause in causes
         ]
     )
+
+
+def _scaled_effects(cause: UnidentifiedCause, state: SignalState) -> FloatArray:
+    """Return the effects of all templates in units of their prior, (signals, blocks, 3)."""
+    return np.concatenate([scaled_tangents(cause, row, state) for row in cause.templates])
 
 
 def _instances(term: Term, projector: NuisanceProjector) -> list[Term]:

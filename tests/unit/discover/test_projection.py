@@ -112,6 +112,22 @@ def test_signals_keep_their_order(projection: NuisanceProjector) -> None:
     assert joined.size == 2 * blocks + 3 * blocks + 3 * blocks + blocks + 3 * blocks
 
 
+def test_signals_that_are_whitened_together_have_single_precision(
+    projection: NuisanceProjector,
+) -> None:
+    blocks = projection.states[0].block_count
+    signals = 1.0 + np.random.default_rng(8).standard_normal((6, blocks, 3)).cumsum(axis=1)
+    functions = [partial(_as_given, signals[:4]), partial(_as_given, signals[4:])]
+    together = projection.evaluate_together(functions, len(signals))
+    exact = projection.evaluate_signals(partial(_as_given, signals))
+    assert all(channel.rows.dtype == np.float32 for channel in together.channels)
+    looked, expected = (projection.score_statistics(white) for white in (together, exact))
+    assert looked.score == pytest.approx(expected.score, rel=1e-5)
+    assert looked.information == pytest.approx(
+        expected.information, abs=1e-5 * float(np.diag(expected.information).min())
+    )
+
+
 def test_biases_of_each_axis_are_whitened_as_dense_signals(projection: NuisanceProjector) -> None:
     blocks = projection.states[0].block_count
     biases = AxisBiases(np.random.default_rng(8).standard_normal((10, blocks)))

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.fft import idct
 from tests.bench.accuracy.motor_noise import MotorNoise
 from tests.bench.accuracy.trial import Case, solve_case
 
@@ -103,6 +104,8 @@ def test_division_and_multiplication_are_inverse(keeps_constant: bool) -> None:
     for axis in range(3):
         quotient = relative_std.divide_spectra(spectra[:, axis], axis)
         assert np.allclose(quotient, divided[:, axis])
+        signals = idct(spectra[:, axis], norm="ortho")
+        assert np.allclose(relative_std.divide_signals(signals, axis), idct(quotient, norm="ortho"))
     if keeps_constant:
         assert np.array_equal(divided[..., 0], spectra[..., 0])
     else:

@@ -57,7 +57,7 @@ def windowed_statistics(
     pointer = np.concatenate([[0], np.cumsum(counts)])
     shape = (len(windows_s), projection.residual.size)
     data = (
-        np.concatenate(values or [np.zeros(0)]),
+        np.concatenate(values or [np.zeros(0)], dtype=np.float64),
         np.concatenate(columns or [np.zeros(0, np.int64)]),
     )
     return projection.sparse_statistics(csr_array((*data, pointer), shape=shape))

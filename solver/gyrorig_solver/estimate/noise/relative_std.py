@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.fft import dct, idct
 
-from gyrorig_solver.data import FloatArray, IntArray
+from gyrorig_solver.data import FloatArray, IntArray, RealArray
 
 MAX_LOG_WEIGHT_CHANGE = 0.03  # of a variance; smaller changes keep the old weights
 
@@ -34,6 +34,15 @@ class RelativeStd:
             axis: the sensor axis, of all rows or of each; None for all three.
         """
         return self._scale(spectra, 1.0 / (self.values if axis is None else self.values[axis]))
+
+    def divide_signals(self, signals: RealArray, axis: int) -> RealArray:
+        """Return white signals of one sensor axis, (k, n), divided; see `divide_spectra`."""
+        std = self.values[axis].astype(signals.dtype)
+        constant = signals.mean(axis=-1, keepdims=True) if self.keeps_constant else 0.0
+        divided: RealArray = np.divide(signals - constant, std)
+        if self.keeps_constant:
+            divided += constant - divided.mean(axis=-1, keepdims=True)
+        return divided
 
     def multiply_spectra(self, spectra: FloatArray) -> FloatArray:
         """Return the inverse of `divide_spectra` for all axes, shape (..., 3, n)."""
