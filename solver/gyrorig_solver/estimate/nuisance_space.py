@@ -9,6 +9,8 @@ What to use when: `score_statistics` for information and score of whitened signa
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import reduce
+from operator import add
 
 import numpy as np
 from scipy.sparse import csc_array, csr_array
@@ -71,6 +73,40 @@ class NormalBlocks:
     motion_prior_offset: FloatArray  # (m + g,), prior mean minus current value
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _SubsetProducts:
+    """Products of a fit's derivatives over a subset of the values, with each other and residuals.
+
+    The residuals are those of some models.
+    """
+
+    shared: FloatArray  # (q, q)
+    cross: FloatArray  # (m, q)
+    local: csr_array  # (m, m)
+    shared_score: FloatArray  # (q, models)
+    local_score: FloatArray  # (m, models)
+
+    def __add__(self, other: "_SubsetProducts") -> "_SubsetProducts":
+        """Return the products over both of two subsets that do not overlap."""
+        return _SubsetProducts(
+            self.shared + other.shared,
+            self.cross + other.cross,
+            self.local + other.local,
+            self.shared_score + other.shared_score,
+            self.local_score + other.local_score,
+        )
+
+    def __sub__(self, other: "_SubsetProducts") -> "_SubsetProducts":
+        """Return the products over the rest of a subset."""
+        return _SubsetProducts(
+            self.shared - other.shared,
+            self.cross - other.cross,
+            self.local - other.local,
+            self.shared_score - other.shared_score,
+            self.local_score - other.local_score,
+        )
+
+
 class NuisanceSpace:
     """The projection orthogonal to the whitened derivatives of a fit; see the module."""
 
@@ -124,45 +160,56 @@ class NuisanceSpace:
             models: from `drop_terms`.
         """
         residuals = np.zeros((len(models), self.residual.size))
-        for window in np.unique(windows):
-            inside = np.flatnonzero(windows == window)
-            outside = np.flatnonzero(windows != window)
-            step = self._fit_to_subset(outside, models)
-            basis, local = self._basis[:, inside], self._local[:, inside]
-            solve_local = factorise_sparse(csc_array((local @ local.T + self._prior.local).tocsc()))
-            window_residual = (
-                np.stack([reduced_model.residual[inside] for reduced_model in models])
-                - step.T @ basis
-            )
+        subsets = [np.flatnonzero(windows == window) for window in np.unique(windows)]
+        products = [self._subset_products(subset, models) for subset in subsets]
+        total = reduce(add, products)
+        for inside, subset_products in zip(subsets, products, strict=True):
+            step = self._fit_to_subset(total - subset_products, models)
+            solve_local = factorise_sparse(csc_array(subset_products.local + self._prior.local))
             pull = (
-                local @ window_residual.T
+                subset_products.local_score
+                - (subset_products.cross + self._prior.cross) @ step
                 + self._prior.local_score[:, None]
-                - self._prior.cross @ step
             )
-            residuals[:, inside] = window_residual - (local.T @ solve_local(pull)).T
+            residuals[:, inside] = (
+                np.stack([reduced_model.residual[inside] for reduced_model in models])
+                - step.T @ self._basis[:, inside]
+                - (self._local[:, inside].T @ solve_local(pull)).T
+            )
         return residuals
 
-    def _fit_to_subset(self, subset: IntArray, models: Sequence[ReducedModel]) -> FloatArray:
-        """Return the step of all but local unknowns that fits a subset best, (q, models)."""
+    def _subset_products(
+        self, subset: IntArray, models: Sequence[ReducedModel]
+    ) -> "_SubsetProducts":
+        """Return the products over a subset of the whitened values."""
         basis, local = self._basis[:, subset], self._local[:, subset]
-        solve_local = factorise_sparse(csc_array((local @ local.T + self._prior.local).tocsc()))
-        cross = local @ basis.T + self._prior.cross
+        residuals = np.stack([reduced_model.residual[subset] for reduced_model in models], axis=1)
+        return _SubsetProducts(
+            basis @ basis.T, local @ basis.T, local @ local.T, basis @ residuals, local @ residuals
+        )
+
+    def _fit_to_subset(
+        self, products: "_SubsetProducts", models: Sequence[ReducedModel]
+    ) -> FloatArray:
+        """Return the step of all but local unknowns that fits a subset best, (q, models)."""
+        solve_local = factorise_sparse(csc_array(products.local + self._prior.local))
+        cross = products.cross + self._prior.cross
         back_substitution = solve_local(cross)
         information = (
-            basis @ basis.T
+            products.shared
             + self._prior.shared
             - cross.T @ back_substitution
             + np.diag(self._held_out_prior)
         )
-        steps = np.zeros((basis.shape[0], len(models)))
+        pull = products.local_score + self._prior.local_score[:, None]
+        score = products.shared_score + self._prior.shared_score[:, None]
+        score -= back_substitution.T @ pull
+        steps = np.zeros_like(score)
         for k, reduced_model in enumerate(models):
-            residual = reduced_model.residual[subset]
-            pull = local @ residual + self._prior.local_score
-            score = basis @ residual + self._prior.shared_score - back_substitution.T @ pull
             inverse = np.linalg.pinv(
                 information[np.ix_(reduced_model.rows, reduced_model.rows)], hermitian=True
             )
-            steps[reduced_model.rows, k] = inverse @ score[reduced_model.rows]
+            steps[reduced_model.rows, k] = inverse @ score[reduced_model.rows, k]
         return steps
 
     def score_statistics(self, signals: WhitenedSignals) -> ScoreStatistics:

@@ -229,10 +229,9 @@ class AttitudeProjector(NuisanceProjector):
         Args:
             removed: numbers of causes that are left out of the model.
         """
-        everything = np.arange(self.residual.size)
-        return np.asarray(
-            self._fit_to_subset(everything, [self.drop_terms(removed)])[:, 0], np.float64
-        )
+        models = [self.drop_terms(removed)]
+        products = self._subset_products(np.arange(self.residual.size), models)
+        return np.asarray(self._fit_to_subset(products, models)[:, 0], np.float64)
 
     def residual_without(self, removed: Sequence[int] = ()) -> list[FloatArray]:
         """Return the residual of the best fit without some causes, (n, 3) per segment."""
