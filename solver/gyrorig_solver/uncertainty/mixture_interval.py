@@ -26,6 +26,7 @@ import numpy as np
 from scipy.special import ndtr
 
 from gyrorig_solver.data import BoolArray, FloatArray, IntArray
+from gyrorig_solver.uncertainty.marginal_covariance import without_rounding
 
 # Of the most probable configuration's probability: smaller ones are not followed, or not counted.
 FOLLOWED_SHARE, COUNTED_SHARE = 1e-2, 1e-5
@@ -124,8 +125,9 @@ def _split_certain(
     """Return the error by the certain causes, and the other sizes with these marginalised."""
     certain, rest = np.flatnonzero(is_certain), np.flatnonzero(~is_certain)
     prior = sizes.prior_covariance[np.ix_(certain, certain)]
-    among = sizes.information[np.ix_(certain, certain)]
-    cross = sizes.information[np.ix_(rest, certain)]
+    information = without_rounding(sizes.information)
+    among = information[np.ix_(certain, certain)]
+    cross = information[np.ix_(rest, certain)]
     # (P^-1 + F)^-1 without the inverse of P, as in `UnitPosterior.updated`.
     covariance = np.linalg.solve((np.eye(certain.size) + among @ prior).T, prior).T
     covariance = 0.5 * (covariance + covariance.T)
@@ -135,7 +137,9 @@ def _split_certain(
     moved = covariance @ influence
     error = ErrorMixture.normal(mean @ influence, np.sum(influence * moved, axis=0))
     return error, UncertainSizes(
-        information=sizes.information[np.ix_(rest, rest)] - cross @ covariance @ cross.T,
+        information=without_rounding(
+            information[np.ix_(rest, rest)] - cross @ covariance @ cross.T
+        ),
         score=sizes.score[rest] - cross @ mean,
         influence=sizes.influence[rest] - cross @ moved,
         cause=sizes.cause[rest],
@@ -202,7 +206,7 @@ class _Configurations:
         for row, group in zip(self._index, causes, strict=True):
             row[: group.size] = group
         self._information = np.zeros((count + 1, count + 1))
-        self._information[:count, :count] = 0.5 * (sizes.information + sizes.information.T)
+        self._information[:count, :count] = sizes.information
         # Score and influence stand side by side: both are reduced in the same way.
         self._targets = np.zeros((count + 1, 1 + parameters))
         self._targets[:count, 0], self._targets[:count, 1:] = sizes.score, sizes.influence
@@ -292,9 +296,8 @@ def _gains(block: FloatArray, targets: FloatArray) -> tuple[FloatArray, FloatArr
         block: information on the sizes of each cause, (n, w, w).
         targets: their score and influence, (n, w, 1 + q).
     """
-    # Rounding leaves a little below zero where the fit takes an effect for its block.
     values, vectors = np.linalg.eigh(block)
-    scale = 1.0 / np.sqrt(1.0 + np.clip(values, 0.0, None))
+    scale = 1.0 / np.sqrt(1.0 + np.clip(values, 0.0, None))  # rounding can give less than zero
     whitened = scale[:, :, None] * (vectors.transpose(0, 2, 1) @ targets)
     score, influence = whitened[:, :, 0], whitened[:, :, 1:]
     log_factor = np.sum(np.log(scale) + 0.5 * score**2, axis=1)

@@ -23,6 +23,7 @@ import numpy as np
 
 from gyrorig_solver.data import FloatArray
 from gyrorig_solver.uncertainty.fit_linearisation import FitLinearisation
+from gyrorig_solver.uncertainty.marginal_covariance import without_rounding
 from gyrorig_solver.uncertainty.unit_values import UnitInformation, UnitPosterior
 
 
@@ -87,7 +88,7 @@ def unit_information(fit: FitLinearisation, unit_size_count: int) -> UnitInforma
     reduced_score = score[unit] - cross @ weight[:, -1]
     scale, position = fit.unit_scale[unit], fit.unit_position[unit]
     matrix, vector = np.zeros((unit_size_count, unit_size_count)), np.zeros(unit_size_count)
-    matrix[np.ix_(position, position)] = _without_rounding(reduced) / np.outer(scale, scale)
+    matrix[np.ix_(position, position)] = without_rounding(reduced) / np.outer(scale, scale)
     vector[position] = reduced_score / scale
     return UnitInformation(matrix, vector)
 
@@ -121,9 +122,3 @@ def _noise_covariance(
     by_score = gain[:, :left_out]
     noise = by_parameters @ fit.covariance @ by_parameters.T
     return np.asarray(noise + by_score @ fit.information @ by_score.T, dtype=np.float64)
-
-
-def _without_rounding(information: FloatArray) -> FloatArray:
-    """Return a positive semidefinite matrix: rounding leaves a little below zero."""
-    values, vectors = np.linalg.eigh(0.5 * (information + information.T))
-    return np.asarray((vectors * np.clip(values, 0.0, None)) @ vectors.T, dtype=np.float64)

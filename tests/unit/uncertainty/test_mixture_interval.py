@@ -191,3 +191,18 @@ def test_strong_evidence_decides_between_causes() -> None:
     ((low, high),) = error_mixture(sizes).interval(np.full(1, 0.01), TWO_STD)
     assert 0.5 * (low + high) == pytest.approx(300.0 / 401.0, rel=1e-3)
     assert high - low == pytest.approx(4.0 * np.hypot(0.01, 1.0 / np.sqrt(401.0)), rel=0.1)
+
+
+def test_rounding_below_zero_is_not_taken_for_information() -> None:
+    """Large information on sizes that are nearly the same loses digits."""
+    direction = np.array([[1e5, 1e5, 1e5 + 1e-6]])
+    information = direction.T @ direction - 3.0 * np.eye(3)
+    for probability in (0.3, 1.0):
+        mixture = error_mixture(
+            UncertainSizes(
+                information, direction[0] * 0.2, np.ones((3, 1)), np.arange(3),
+                np.full(3, probability), np.eye(3), np.zeros(3),
+            )
+        )  # fmt: skip
+        assert np.all(mixture.variance >= 0.0)
+        assert np.isfinite(mixture.interval(np.ones(1), 0.95)).all()
