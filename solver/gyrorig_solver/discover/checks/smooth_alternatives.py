@@ -24,7 +24,7 @@ from gyrorig_solver.estimate import (
     WhitenedSignals,
 )
 from gyrorig_solver.model import AxisBiases, Signals, SignalState, Term, zero_signals
-from gyrorig_solver.model.signal_arrays import on_all_axes, weighted_sum
+from gyrorig_solver.model.signal_arrays import on_all_axes, split_axes, weighted_sum
 
 Covariate = Callable[[SignalState], FloatArray]  # to (n,)
 
@@ -270,23 +270,20 @@ def _rate_family(scenes: Sequence[SignalState]) -> BasisFamily:
     powers = range(2, MAX_RATE_POWER + 1)
     pairs = [(i, j) for i in range(3) for j in range(i + 1)]
 
-    def signal(scene: SignalState) -> FloatArray:
+    def power_signals(power: int, scene: SignalState) -> FloatArray:
+        values = np.polynomial.Legendre.basis(power)(scene.filtered_rad_s / largest)
+        return split_axes(scene.sample_output(values))
+
+    def pair_signals(scene: SignalState) -> Signals:
         share = scene.filtered_rad_s / largest
-        signals = zero_signals(3 * (len(powers) + len(pairs)), scene.interval_count)
-        position = 0
-        for power in powers:
-            values = np.polynomial.Legendre.basis(power)(share)
-            for axis in range(3):
-                signals[position, :, axis] = values[:, axis]
-                position += 1
-        for i, j in pairs:
-            for axis in range(3):
-                signals[position, :, axis] = share[:, i] * share[:, j]
-                position += 1
-        return scene.sample_output(signals)
+        return _on_each_axis(scene, np.stack([share[:, i] * share[:, j] for i, j in pairs]))
 
     detail = np.repeat([*(p - 1.0 for p in powers), *(2.0 for _ in pairs)], 3)
-    return BasisFamily("own_rate", "on the rates about the axes", (signal,), detail)
+    signals: tuple[SignalFunction, ...] = (
+        *(partial(power_signals, power) for power in powers),
+        pair_signals,
+    )
+    return BasisFamily("own_rate", "on the rates about the axes", signals, detail)
 
 
 def _move_families(scenes: Sequence[SignalState]) -> Iterator[BasisFamily]:
