@@ -15,10 +15,10 @@ from gyrorig_solver.estimate import (
     GAIN_PARAMETERS,
     SESSION_PARAMETERS,
     ConvergedFit,
+    ParameterLayout,
     propagate_to_factors,
 )
 from gyrorig_solver.estimate.observability import BIAS_NAMES
-from gyrorig_solver.estimate.parameter_layout import ParameterLayout
 from gyrorig_solver.model import FACTOR_NAMES
 
 CALIBRATION_PARAMETERS = (*FACTOR_NAMES, *BIAS_NAMES, "time_offset")

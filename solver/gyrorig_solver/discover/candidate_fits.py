@@ -3,7 +3,7 @@
 What to use when: `fit_leading` for the causes with the best scores, `fit_best_place` for one.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -28,8 +28,12 @@ def fit_leading(
     scores: Sequence[CandidateScore],
     fitted_labels: set[str],
     tests: int,
+    fit_law: Callable[[Term], FittedCandidate | None],
 ) -> list[tuple[FittedCandidate, float]]:
     """Fit the causes with the best scores and their confusable ones, each at its best place.
+
+    A cause among them that changes the motion law is fitted unless its score is chance: its score
+    to first order is no measure of what it gains.
 
     Args:
         projection: the nuisance projector at the fit.
@@ -37,6 +41,7 @@ def fit_leading(
         scores: of all places of all causes.
         fitted_labels: causes of the fit.
         tests: how many share the false alarms.
+        fit_law: fits a cause that changes the motion law under its own law.
 
     Returns:
         Each fitted cause with the effective number of its trials.
@@ -51,6 +56,13 @@ def fit_leading(
     order = sorted(strength, key=lambda name: -strength[name])[:MAX_CANDIDATES]
     threshold = MIN_STATISTIC_SHARE * strength[order[0]]
     terms = [term_by_label[c] for k, c in enumerate(order) if k < 2 or strength[c] > threshold]
+    law_terms = {
+        label: term
+        for label, term in term_by_label.items()
+        if label not in fitted_labels and projection.law_statistics(term) is not None
+    }
+    shown = {term_label(score.term) for score in leading if score.p_value < 1.0}
+    terms = [term for term in terms if term not in law_terms.values()]
     # What others stand for in the pass over all takes part where they do.
     terms += [
         instance
@@ -60,7 +72,8 @@ def fit_leading(
         for instance in testable_instances(equivalent, projection)
         if recording_index_of(instance) == recording_index_of(term) and instance not in terms
     ]
-    candidates = []
+    laws = [fit_law(term) for label, term in law_terms.items() if label in shown]
+    candidates = [(candidate, 1.0) for candidate in laws if candidate is not None]
     for term in terms:
         if term_label(term) in fitted_labels:
             continue

@@ -14,7 +14,8 @@ from gyrorig_solver.discover.candidate_fits import fit_leading, fitted_place
 from gyrorig_solver.discover.cause_findings import RivalCause
 from gyrorig_solver.discover.exact_fit import FittedCandidate, fit_candidate
 from gyrorig_solver.discover.extended_fit import extend_fit
-from gyrorig_solver.discover.fit_space import FitSpace, Space
+from gyrorig_solver.discover.fit_space import Space
+from gyrorig_solver.discover.law_candidates import fit_law_cause, judge_law_cause
 from gyrorig_solver.discover.score_tests import scan_catalogue
 from gyrorig_solver.model import Term, recording_index_of, term_label
 
@@ -157,7 +158,7 @@ def confusable_labels(term: Term, terms: Sequence[Term]) -> set[str]:
 
 
 def rank_against_alternatives(
-    space: FitSpace, k: int, terms: Sequence[Term], tests: int
+    space: Space, k: int, terms: Sequence[Term], tests: int
 ) -> RankedCause:
     """Rank one cause of a fit against the alternatives in its place.
 
@@ -168,23 +169,51 @@ def rank_against_alternatives(
         tests: how many share the false alarms.
     """
     extension = space.fitted_terms[k]
-    projector = space.projector_without(k)
+    others = [other for j, other in enumerate(space.fitted_terms) if j != k]
+    changes_law = space.changes_law(extension.term)
+    without = space.refit(others) if changes_law else space
+    if not without.convergence.converged:
+        return _unrivalled(space, k, without)
+    projector = without.projector() if changes_law else space.projector_without(k)
     own_label = term_label(extension.term)
     fitted_labels = {term_label(fitted_term.term) for fitted_term in space.fitted_terms}
     fitted_labels.remove(own_label)
     scores = scan_catalogue(
         projector, [t for t in terms if term_label(t) not in fitted_labels], tests
     )
-    candidates = fit_leading(projector, scores, scores, fitted_labels, tests)
+    laws: dict[str, FittedCandidate | None] = {}
+
+    def fit_law(term: Term) -> FittedCandidate | None:
+        if term_label(term) != own_label:
+            laws[term_label(term)] = fit_law_cause(without, term, others).candidate
+        return laws.get(term_label(term))
+
+    candidates = fit_leading(projector, scores, scores, fitted_labels, tests, fit_law)
     same_cause = [pair for pair in candidates if term_label(pair[0].extension.term) == own_label]
-    refitted = fit_candidate(
-        projector, extension.term, fitted_place(extension), [extension.values], search_event=True
-    )
+    if changes_law:
+        refitted: FittedCandidate | None = judge_law_cause(
+            space, k, without, fitted_place(extension)
+        )
+    else:
+        refitted = fit_candidate(
+            projector,
+            extension.term,
+            fitted_place(extension),
+            [extension.values],
+            search_event=True,
+        )
     if refitted is not None and (
         not same_cause or refitted.log_evidence > same_cause[0][0].log_evidence
     ):
         same_cause = [(refitted, same_cause[0][1] if same_cause else 1.0)]
     best, effective_trials = same_cause[0]
+    if not changes_law:
+        candidates = [
+            (_in_place_of(best, candidate), trials)
+            if term_label(candidate.extension.term) in laws
+            else (candidate, trials)
+            for candidate, trials in candidates
+        ]
     alternatives = [
         candidate
         for candidate, _ in candidates
@@ -197,6 +226,28 @@ def rank_against_alternatives(
     order = np.argsort(-evidence[1:], kind="stable")
     rivals = tuple((alternatives[j], float(posterior[1 + j])) for j in order)
     return RankedCause(best, effective_trials, rivals, float(posterior[0]))
+
+
+def _in_place_of(named: FittedCandidate, rival: FittedCandidate) -> FittedCandidate:
+    """Return a rival, judged relative to the fit with the named cause, relative to that without."""
+    nats = named.delta_log_likelihood
+    return replace(
+        rival,
+        delta_log_likelihood=rival.delta_log_likelihood + nats,
+        log_evidence=rival.log_evidence + nats,
+    )
+
+
+def _unrivalled(space: Space, k: int, without: Space) -> RankedCause:
+    """Return the ranking of a cause without which the fit does not converge."""
+    place = fitted_place(space.fitted_terms[k])
+    named = judge_law_cause(space, k, without, place)
+    excess_nats = without.convergence.remaining_nats
+    gain_nats = named.delta_log_likelihood - excess_nats
+    candidate = replace(
+        named, delta_log_likelihood=gain_nats, log_evidence=named.log_evidence - excess_nats
+    )
+    return RankedCause(candidate, 1.0, (), 1.0)
 
 
 def posterior_probabilities(log_evidence: FloatArray, best_gain_nats: float) -> FloatArray:

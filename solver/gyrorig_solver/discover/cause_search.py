@@ -22,11 +22,12 @@ from gyrorig_solver.discover.extended_fit import extend_fit, refit_events
 from gyrorig_solver.discover.fit_space import FitSpace, NoiseAlternative, Space
 from gyrorig_solver.discover.fitted_values import wald_p_value
 from gyrorig_solver.discover.held_out_gain import cross_validate_causes
+from gyrorig_solver.discover.law_candidates import fit_law_cause
 from gyrorig_solver.discover.model_evidence import best_model
 from gyrorig_solver.discover.score_tests import CandidateScore, scan_catalogue
 from gyrorig_solver.discover.testable_terms import FALSE_ALARM_RATE, count_tests, select_testable
 from gyrorig_solver.estimate import NuisanceProjector
-from gyrorig_solver.model import term_label
+from gyrorig_solver.model import Term, term_label
 
 MAX_CAUSES = 12
 # Of causes that are significant with typical noise levels only: the bias has a random walk.
@@ -87,7 +88,7 @@ class _Search(Generic[Space]):
     def run(self) -> SearchResult[Space]:
         """Add and remove causes until none is significant; rank them and return the result."""
         while True:
-            selection = self._select() or self._select_elsewhere()
+            selection = self._select()
             if selection is not None and len(self._space.fitted_terms) < MAX_CAUSES:
                 self._try_cause(selection)
             elif self._typical and self._doubted:
@@ -122,22 +123,21 @@ class _Search(Generic[Space]):
         significant = [score for score in usable if score.p_value < FALSE_ALARM_RATE]
         if not significant:
             return None
-        candidates = fit_leading(self._projection, significant, usable, fitted_labels, self._tests)
+        candidates = fit_leading(
+            self._projection, significant, usable, fitted_labels, self._tests, self._fit_law
+        )
         considered = frozenset(term_label(other.extension.term) for other, _ in candidates)
         for candidate, trials in sorted(candidates, key=lambda pair: -pair[0].log_evidence):
             if global_p_value(candidate, trials, self._tests) < FALSE_ALARM_RATE:
                 return _Selection(candidate, trials, considered)
         return None
 
-    def _select_elsewhere(self) -> _Selection | None:
-        """Return a cause that other data than the residual show, or None."""
-        candidate = self._space.candidate_elsewhere(self._tests, FALSE_ALARM_RATE)
-        if candidate is None:
-            return None
-        label = term_label(candidate.extension.term)
-        if label in self._left_out:
-            return None
-        return _Selection(candidate, 1.0, frozenset({label}))
+    def _fit_law(self, term: Term) -> FittedCandidate | None:
+        """Fit a candidate under its own motion law; None if the fit does not converge."""
+        fitted = fit_law_cause(self._space, term)
+        if fitted.candidate is None:
+            self._memory.leave_out(term_label(term), fitted.space)
+        return fitted.candidate
 
     def _use_fitted_noise(self) -> None:
         """Repeat the search with fitted noise levels: the bias has a real random walk."""

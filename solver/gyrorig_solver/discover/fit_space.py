@@ -13,6 +13,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Self, TypeVar
 
+from gyrorig_solver.data import FloatArray
 from gyrorig_solver.discover.calibration_changes import CalibrationValues
 from gyrorig_solver.discover.cause_findings import DependenceTest
 from gyrorig_solver.discover.exact_fit import FittedCandidate
@@ -82,8 +83,20 @@ class FitSpace(ABC):
         """Return the calibration parameters of the fit."""
 
     @abstractmethod
+    def parameter_shift(self, other: Self) -> FloatArray:
+        """Return the change of G and each (b, tau) from this fit to another one, (board,).
+
+        Only the last recording's (b, tau) need be there; the others can be zero.
+        """
+
+    @abstractmethod
     def dependence_tests(self, projector: NuisanceProjector) -> list[DependenceTest]:
         """Test the residual for smooth functions; `projector`: at the fit, with fitted noise."""
+
+    def changes_law(self, term: Term) -> bool:
+        """Return whether a cause changes the motion law, so that only a fit with it judges it."""
+        del term
+        return False
 
     def release_caches(self) -> None:  # noqa: B027 - nothing to free by default
         """Free what is computed again when it is needed."""
@@ -91,16 +104,6 @@ class FitSpace(ABC):
     def refit_gain(self) -> Self:
         """Return the fit with its gain searched again where a cause hides rates from it."""
         return self
-
-    def candidate_elsewhere(self, tests: int, alpha: float) -> FittedCandidate | None:
-        """Return a cause that other data than the residual show, or None.
-
-        Args:
-            tests: how many share the false alarms.
-            alpha: rate of false alarms of all of them.
-        """
-        del tests, alpha
-        return None
 
     def noise_alternative(
         self, candidate: FittedCandidate, trials: float, extended: Self, tests: int, alpha: float

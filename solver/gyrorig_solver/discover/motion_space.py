@@ -9,7 +9,7 @@ from typing import Self
 
 import numpy as np
 
-from gyrorig_solver.data import BoolArray
+from gyrorig_solver.data import BoolArray, FloatArray
 from gyrorig_solver.discover.calibration_changes import CalibrationValues
 from gyrorig_solver.discover.candidate_fits import global_p_value
 from gyrorig_solver.discover.cause_findings import DependenceTest
@@ -25,20 +25,22 @@ from gyrorig_solver.discover.checks.typical_noise import (
 from gyrorig_solver.discover.exact_fit import FittedCandidate, fit_candidate
 from gyrorig_solver.discover.extended_fit import refit_gain_exactly
 from gyrorig_solver.discover.fit_space import FitSpace, NoiseAlternative
-from gyrorig_solver.discover.ramp_acceleration import candidate_from_replies
 from gyrorig_solver.estimate import (
     MAX_EVALUATIONS,
     ConvergedFit,
     FittedTerm,
     NoiseModel,
     NuisanceProjector,
+    ParameterLayout,
     reference_cost,
     refit_with_terms,
 )
 from gyrorig_solver.estimate.fit_objective import residual_cost
 from gyrorig_solver.estimate.fit_segments import negative_log_likelihood
 from gyrorig_solver.estimate.fit_summary import BASE_TERMS
+from gyrorig_solver.estimate.law_effects import unit_references
 from gyrorig_solver.estimate.uncertainty_widening import reduced_chi2
+from gyrorig_solver.model import Term
 from gyrorig_solver.model.catalogue import catalogue
 
 
@@ -63,8 +65,15 @@ class MotionFitSpace(FitSpace):
         return build_projector(self.solution, typical)
 
     def projector_without(self, k: int) -> NuisanceProjector:
-        """Return the projector with one cause taken out, its effect added back."""
+        """Return the projector with one cause taken out, its effect added back.
+
+        A cause that changes the motion law is taken out by a fit under the other law.
+        """
         others = [other for j, other in enumerate(self.fitted_terms) if j != k]
+        if self.changes_law(self.fitted_terms[k].term):
+            without = self.refit(others)
+            if without.convergence.converged:
+                return without.projector()
         return NuisanceProjector.at_fit(self.solution, others, [self.fitted_terms[k]])
 
     def refit(
@@ -72,6 +81,19 @@ class MotionFitSpace(FitSpace):
     ) -> Self:
         """Return the fit with these causes, from the values of this one."""
         return type(self)(refit_with_terms(self.solution, fitted_terms, max_evaluations))
+
+    def changes_law(self, term: Term) -> bool:
+        """Return whether a cause changes the motion law of the unit."""
+        return term.law_quantity is not None and bool(unit_references(self.solution))
+
+    def parameter_shift(self, other: Self) -> FloatArray:
+        """Return the change of G and the last (b, tau) from this fit to another one, (board,)."""
+        layout = ParameterLayout.of([()], len(self.solution.sessions))
+        shift = np.zeros(layout.size)
+        index = layout.index(len(self.solution.sessions) - 1)
+        before, after = (fit.solution.estimate[: index.size] for fit in (self, other))
+        shift[index] = after - before
+        return shift
 
     def release_caches(self) -> None:
         """Free what the sessions compute again when it is needed."""
@@ -114,10 +136,6 @@ class MotionFitSpace(FitSpace):
                 total -= residual_cost(series, masked, noise, stds)
         return total
 
-    def candidate_elsewhere(self, tests: int, alpha: float) -> FittedCandidate | None:
-        """Return a motion law that the replies show and the samples do not, or None."""
-        return candidate_from_replies(self.solution, tests, alpha)
-
     def noise_alternative(
         self, candidate: FittedCandidate, trials: float, extended: Self, tests: int, alpha: float
     ) -> NoiseAlternative | None:
@@ -129,7 +147,8 @@ class MotionFitSpace(FitSpace):
         the rests only, so that they do not contain effects at the edges of moves, which no random
         walk of the bias produces.
         """
-        if self.has_typical_noise:
+        # No random walk of the bias is like a change of the moves, which the replies follow too.
+        if self.has_typical_noise or self.changes_law(candidate.extension.term):
             return None
         before, after, extension = self.solution, extended.solution, candidate.extension
         gain_nats = whittle_log_likelihood(after) - whittle_log_likelihood(before)

@@ -3,7 +3,8 @@
 The tangent signals of each template of a cause are whitened and projected orthogonally to all
 nuisance parameters. T = s' A^-1 s is chi-squared in noise, with one degree of freedom per size. The
 best of many templates is judged by the effective number of independent ones among them (Galwey,
-Genet. Epidemiol. 33 (2009) 559) and by the number of tests of the catalogue.
+Genet. Epidemiol. 33 (2009) 559) and by the number of tests of the catalogue. A cause that changes
+the motion law is tested under its own law: the replies and the moves that follow them take part.
 
 What to use when: `scan_catalogue` in each iteration of a search; `ScoreTest.of` for any signals.
 """
@@ -16,7 +17,7 @@ import numpy as np
 
 from gyrorig_solver.data import FloatArray, IntArray
 from gyrorig_solver.discover.template_choice import quick_templates
-from gyrorig_solver.estimate import NuisanceProjector, ScoreStatistics
+from gyrorig_solver.estimate import LawStatistics, NuisanceProjector, ScoreStatistics
 from gyrorig_solver.model import SignalState, Term, components_of, value_indices, value_parameters
 from gyrorig_solver.numerics import chi2_upper_tail, detection_noncentrality
 
@@ -119,6 +120,10 @@ def scan_catalogue(
     """
     scores: list[CandidateScore] = []
     for term in terms:
+        law = projection.law_statistics(term)
+        if law is not None:
+            scores += _score_law_term(term, law, tests)
+            continue
         chosen, scanned = (
             (templates, len(templates))
             if templates is not None
@@ -220,6 +225,53 @@ def _scan_term(
                 )
             )
     return scores
+
+
+def _score_law_term(term: Term, law: LawStatistics, tests: int) -> list[CandidateScore]:
+    """Return the scores of a cause that changes the motion law, at each of its places.
+
+    Far from the law of the fit, the effect on the samples has another form than near to it, so
+    that samples and replies together can say less than the replies alone.
+
+    Args:
+        term: the cause.
+        law: statistics of its values, under its own law.
+        tests: how many share the false alarms.
+    """
+    parameters = value_parameters(term)
+    scores = []
+    for place, positions in testable_places(term):
+        test_place = _TestPlace.of(term, place, positions, tests)
+        part = law.subset(test_place.positions)
+        lower = np.array([parameters[k].lower for k in test_place.size_indices])
+        p_value, test = min(
+            (_test_within_range(statistics, lower) for statistics in (part.together, part.replies)),
+            key=lambda result: result[0],
+        )
+        template = np.zeros(len(parameters))
+        template[test_place.size_indices] = part.scale.changes(test.one_step_sizes)
+        detectable = test_place.detectable_size(np.zeros(len(parameters)), part.together)
+        if np.isfinite(detectable.detectable):
+            first_order = detectable.detectable * test_place.typical
+            sizes = part.scale.changes(first_order) / test_place.typical
+            detectable = replace(detectable, detectable=float(sizes.max()))
+        # The better of two tests.
+        p_value = min(1.0, 2.0 * p_value * tests)
+        scores.append(CandidateScore(term, place, template, test, 2.0, p_value, (detectable,)))
+    return scores
+
+
+def _test_within_range(statistics: ScoreStatistics, lower: FloatArray) -> tuple[float, ScoreTest]:
+    """Return the local p-value of a test, and the test; a size below its range explains nothing.
+
+    Args:
+        statistics: of the sizes, (d,).
+        lower: their lower bounds, (d,).
+    """
+    test = ScoreTest.of(statistics)
+    if not test.degrees_of_freedom or np.any((lower == 0.0) & (test.one_step_sizes < 0.0)):
+        return 1.0, replace(test, statistic=0.0)
+    return chi2_upper_tail(test.statistic, test.degrees_of_freedom), test
 
 
 def _score_batches(

@@ -20,7 +20,7 @@ from gyrorig_solver.estimate.converged_fit import ConvergedFit
 from gyrorig_solver.estimate.derived_parameters import derive_parameters
 from gyrorig_solver.estimate.executed_motion import reference_cost
 from gyrorig_solver.estimate.factor_covariance import propagate_to_factors
-from gyrorig_solver.estimate.fitted_term import FittedTerm
+from gyrorig_solver.estimate.fitted_term import FittedTerm, GaussianPrior, free_term
 from gyrorig_solver.estimate.gravity_fit import fit_gravity
 from gyrorig_solver.estimate.gyro_fit import (
     NO_SHARING,
@@ -48,12 +48,20 @@ from gyrorig_solver.estimate.noise.noise_model import (
     nominal_levels,
     unit_densities,
 )
-from gyrorig_solver.estimate.nuisance_projector import NuisanceProjector, SignalFunction
+from gyrorig_solver.estimate.nuisance_projector import (
+    LawStatistics,
+    NuisanceProjector,
+    SignalFunction,
+)
 from gyrorig_solver.estimate.nuisance_space import ScoreStatistics
 from gyrorig_solver.estimate.observability import ObservabilityAnalysis, analyse_observability
 from gyrorig_solver.estimate.observability_remedies import REST_REMEDIES, UNIT_REMEDIES
 from gyrorig_solver.estimate.paper.paper_method import calibrate_as_printed
-from gyrorig_solver.estimate.parameter_layout import GAIN_PARAMETERS, SESSION_PARAMETERS
+from gyrorig_solver.estimate.parameter_layout import (
+    GAIN_PARAMETERS,
+    SESSION_PARAMETERS,
+    ParameterLayout,
+)
 from gyrorig_solver.estimate.series import Series, choose_grids
 from gyrorig_solver.estimate.session_fit import SessionFit
 from gyrorig_solver.estimate.shared_parameters import is_unit_cause
@@ -79,11 +87,14 @@ __all__ = [
     "Convergence",
     "FitDiagnostics",
     "FittedTerm",
+    "GaussianPrior",
     "GyroFit",
+    "LawStatistics",
     "NoiseModel",
     "NuisanceProjector",
     "ObservabilityAnalysis",
     "ObservabilityReport",
+    "ParameterLayout",
     "Periodogram",
     "ScoreStatistics",
     "Series",
@@ -103,6 +114,7 @@ __all__ = [
     "fit_likelihood",
     "fit_motion",
     "fit_turns",
+    "free_term",
     "is_unit_cause",
     "join_signals",
     "marginalise",

@@ -18,14 +18,15 @@ from gyrorig_solver.data import FloatArray, IntArray
 from gyrorig_solver.estimate.fitted_term import FittedTerm
 from gyrorig_solver.estimate.linear.normal_equations import NormalEquations
 from gyrorig_solver.numerics import ArrowheadMatrix
-from gyrorig_solver.reference import PanTiltReference, ReferenceMotion
-from gyrorig_solver.reference.unit.law_information import LawProfile
-from gyrorig_solver.reference.unit.motion_law import (
+from gyrorig_solver.reference import (
     LAW_QUANTITIES,
     LAW_VALUES,
-    RECORDED_LAW,
+    LawProfile,
     MotionLaw,
+    PanTiltReference,
+    ReferenceMotion,
 )
+from gyrorig_solver.reference.unit.motion_law import RECORDED_LAW
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -16,7 +16,7 @@ is a weighted sum of chi-squared variables, approximated by one of the same mean
 """
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from scipy.linalg import solve_triangular
@@ -50,6 +50,8 @@ class JointFitResult:
         str, ConvergedFit
     ]  # of the boards that took part; empty if there are too few
     left_out: Mapping[str, str]  # the other boards, with the reason
+    # Of the agreement of each board that took part with the others.
+    agreement_p_values: Mapping[str, float] = field(default_factory=dict)
 
 
 def fit_boards_jointly(
@@ -81,7 +83,7 @@ def fit_boards_jointly(
         worst = min(p_values, key=lambda name: p_values[name])
         if p_values[worst] >= MIN_AGREEMENT_P / len(included):
             return JointFitResult(
-                dict(zip(included, fit.solutions(convergence), strict=True)), left_out
+                dict(zip(included, fit.solutions(convergence), strict=True)), left_out, p_values
             )
         # If two boards disagree, nothing shows which one is right.
         only_two = len(included) == 2

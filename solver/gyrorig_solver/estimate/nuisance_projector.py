@@ -13,6 +13,7 @@ Inference, 6e.
 """
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
@@ -25,16 +26,42 @@ from gyrorig_solver.estimate.cascade import (
     effect_of_removing,
 )
 from gyrorig_solver.estimate.converged_fit import ConvergedFit
+from gyrorig_solver.estimate.executed_motion import law_columns
 from gyrorig_solver.estimate.fit_segments import build_segments, remaining_terms
 from gyrorig_solver.estimate.fitted_term import FittedTerm
+from gyrorig_solver.estimate.law_effects import LawEffects, LawScale, unit_references
 from gyrorig_solver.estimate.noise.noise_model import NoiseModel
 from gyrorig_solver.estimate.nuisance_basis import NuisancePrior, nuisance_basis
-from gyrorig_solver.estimate.nuisance_space import NuisanceSpace, ReducedModel, ScoreStatistics
+from gyrorig_solver.estimate.nuisance_space import (
+    NuisanceSpace,
+    OtherData,
+    ReducedModel,
+    ScoreStatistics,
+)
 from gyrorig_solver.estimate.series_segment import SeriesSegment, SignalWhitener
 from gyrorig_solver.estimate.whitened_signals import WhitenedSignals
 from gyrorig_solver.model import Signals, SignalState, Term, dense_signals, term_label
+from gyrorig_solver.reference import LAW_QUANTITIES, LAW_VALUES
 
 SignalFunction = Callable[[SignalState], Signals]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LawStatistics:
+    """Score statistics of values of the motion law."""
+
+    together: ScoreStatistics  # of samples and replies, to first order
+    replies: ScoreStatistics  # of the replies alone
+    scale: LawScale
+
+    def subset(self, values: IntArray) -> Self:
+        """Return those of some values; `values`: their positions, shape (k,)."""
+        return replace(
+            self,
+            together=self.together.subset(values),
+            replies=self.replies.subset(values),
+            scale=self.scale.subset(values),
+        )
 
 
 class NuisanceProjector(NuisanceSpace):
@@ -64,6 +91,8 @@ class NuisanceProjector(NuisanceSpace):
             for segment in segments
         ]
         self._cached_term = ""
+        self._solution: ConvergedFit | None = None  # None: its law is not that of the residual
+        self._law_statistics: LawStatistics | None = None
         self.statistics_by_family: dict[str, ScoreStatistics] = {}
 
     @classmethod
@@ -86,7 +115,11 @@ class NuisanceProjector(NuisanceSpace):
         active_terms = remaining_terms(solution, restored_terms)
         segments = build_segments(solution, restored_terms, noises)
         basis, local, prior = nuisance_basis(solution, segments, followed)
-        return cls(segments, followed, basis, local, prior, active_terms)
+        projector = cls(segments, followed, basis, local, prior, active_terms)
+        # The moves are those of the fit, so a cause that is added back must not change them.
+        if not any(restored.term.law_quantity for restored in restored_terms):
+            projector._solution = solution
+        return projector
 
     def drop_terms(self, removed: Sequence[int]) -> ReducedModel:
         """Return the fit's model without some of its causes; their effect is added back.
@@ -104,14 +137,82 @@ class NuisanceProjector(NuisanceSpace):
         removed_terms = [
             fitted_term for k, fitted_term in enumerate(self.fitted_terms) if k in removed
         ]
+        direct_terms = [term for term in removed_terms if term.term.law_quantity is None]
 
         def restored_effect(state: SignalState) -> FloatArray:
-            return effect_of_removing(removed_terms, self.fitted_terms, state)[None]
+            return effect_of_removing(direct_terms, self.fitted_terms, state)[None]
 
+        effect = self.evaluate_signals(restored_effect, exact=True).dense()[0]
         return ReducedModel(
-            np.flatnonzero(rows),
-            self.residual + self.evaluate_signals(restored_effect, exact=True).dense()[0],
+            np.flatnonzero(rows), self.residual + effect + self._law_effect(removed_terms)
         )
+
+    def _law_effect(self, removed_terms: Sequence[FittedTerm]) -> FloatArray:
+        """Return the whitened effect of those terms that change the motion law, (all,).
+
+        The derivatives contain the moves, which follow the replies under the other law.
+        """
+        effect = np.zeros(self.residual.size)
+        first = self._prior.first_term
+        references = [] if self._solution is None else unit_references(self._solution)
+        if not references:
+            return effect
+        law_scale = LawScale.of(references[0])
+        for fitted_term in self.fitted_terms:
+            stop = first + fitted_term.free_indices.size
+            if fitted_term in removed_terms and fitted_term.term.law_quantity is not None:
+                values = fitted_term.values[fitted_term.free_indices]
+                at = 2 * LAW_QUANTITIES.index(fitted_term.term.law_quantity)
+                scale = law_scale.subset(at + fitted_term.free_indices)
+                effect += (scale.effect_shares(values) * values) @ self._basis[first:stop]
+            first = stop
+        return effect
+
+    def law_statistics(self, term: Term) -> LawStatistics | None:
+        """Return the statistics of a cause that changes the motion law, under its own law.
+
+        The samples, the moves that follow the replies, and the replies themselves take part. The
+        values are pan and tilt.
+
+        Returns:
+            None if the cause does not change the law, or the reference has no law.
+        """
+        if term.law_quantity is None or self._solution is None:
+            return None
+        if self._law_statistics is None:
+            effects = LawEffects.of(self._solution, self.segments)
+            if effects is None:
+                self._solution = None
+                return None
+            self._law_statistics = self._statistics_of_law(effects)
+        first = 2 * LAW_QUANTITIES.index(term.law_quantity)
+        return self._law_statistics.subset(np.array([first, first + 1]))
+
+    def _statistics_of_law(self, effects: LawEffects) -> LawStatistics:
+        white = self.whiten(effects.direct).dense()
+        first_local, first_shared = 0, self.board_parameters
+        for profile in effects.profiles:
+            local = profile.local_count
+            shared = profile.shift.shape[0] - local
+            white += (self._local[first_local : first_local + local].T @ profile.shift[:local]).T
+            white += profile.shift[local:].T @ self._basis[first_shared : first_shared + shared]
+            first_local, first_shared = first_local + local, first_shared + shared
+        information, score = effects.reply_information(), effects.reply_score()
+        columns = law_columns(self.fitted_terms, self._prior.first_term)
+        fitted = columns.law_values
+        cross = np.zeros((self._basis.shape[0], LAW_VALUES))
+        cross[columns.parameters] = information[fitted]
+        together = self.dense_statistics(white, OtherData(information, cross, score))
+        # The replies alone: the fitted values of the law follow them.
+        inverse = np.linalg.pinv(information[np.ix_(fitted, fitted)], hermitian=True)
+        follow = information[:, fitted] @ inverse
+        replies = ScoreStatistics(
+            information - follow @ information[fitted],
+            score - follow @ score[fitted],
+            np.diag(information).copy(),
+            np.zeros((LAW_VALUES, self.board_parameters)),
+        )
+        return LawStatistics(together, replies, effects.scale)
 
     def unwhiten(self, white_signal: FloatArray, as_if_at_rest: bool = False) -> list[FloatArray]:
         """Return a whitened signal (all,) as rates, (n, 3) per part; 0 where unused.

@@ -53,6 +53,15 @@ class ScoreStatistics:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class OtherData:
+    """What other data than the samples say of the sizes of k signals."""
+
+    information: FloatArray  # (k, k)
+    cross: FloatArray  # (q, k), with all unknowns of the fit but the local ones
+    score: FloatArray  # (k,)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class ReducedModel:
     """The model of a fit without some of its causes."""
 
@@ -224,6 +233,22 @@ class NuisanceSpace:
                 shared=(signals @ self._basis.T).T,
                 local=(self._local @ signals.T).toarray(),
                 residual=signals @ self.residual,
+            )
+        )
+
+    def dense_statistics(self, white: FloatArray, elsewhere: OtherData) -> ScoreStatistics:
+        """Return information and score of whitened signals, which other data measure too.
+
+        Args:
+            white: the signals, (k, all).
+            elsewhere: what the other data say of their sizes.
+        """
+        return self._statistics(
+            SignalProducts(
+                gram=white @ white.T + elsewhere.information,
+                shared=self._basis @ white.T + elsewhere.cross,
+                local=self._local @ white.T,
+                residual=white @ self.residual + elsewhere.score,
             )
         )
 

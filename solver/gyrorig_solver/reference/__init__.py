@@ -12,6 +12,8 @@ from gyrorig_solver.reference.known_turns import TimeInterval, TurnReference, re
 from gyrorig_solver.reference.reference_motion import ReferenceMotion
 from gyrorig_solver.reference.rest_reference import RestReference, mostly_at_rest
 from gyrorig_solver.reference.rotations import prefix_products, turn_vectors
+from gyrorig_solver.reference.unit.law_information import LawProfile
+from gyrorig_solver.reference.unit.motion_law import LAW_QUANTITIES, LAW_VALUES, MotionLaw
 from gyrorig_solver.reference.unit.motion_profile import MotionLimits, MotionProfile, plan_motion
 from gyrorig_solver.reference.unit.pan_tilt_recording import (
     UNUSABLE_STATUS,
@@ -23,8 +25,12 @@ from gyrorig_solver.reference.unit.stage_kinematics import StageRateJacobian
 
 __all__ = [
     "DETENT_VARIANCE",
+    "LAW_QUANTITIES",
+    "LAW_VALUES",
     "UNUSABLE_STATUS",
     "AttitudeReference",
+    "LawProfile",
+    "MotionLaw",
     "MotionLimits",
     "MotionProfile",
     "PanTiltReference",

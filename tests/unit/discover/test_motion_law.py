@@ -11,6 +11,9 @@ import pytest
 from tests.unit.discover.conftest import ROOT
 
 from gyrorig_protocol.identity import BoardId
+from gyrorig_solver.discover.extended_fit import extend_fit
+from gyrorig_solver.discover.fit_explanation import explain_fit
+from gyrorig_solver.discover.motion_space import MotionFitSpace
 from gyrorig_solver.estimate import ConvergedFit, fit_boards_jointly, refit_with_terms
 from gyrorig_solver.estimate.board_fit import BoardFit
 from gyrorig_solver.estimate.executed_motion import law_columns
@@ -70,6 +73,27 @@ def test_a_base_speed_that_was_not_set(
     assert solution.converged
     assert np.abs(cause_sigmas(solution, BASE_SPEED_RAD_S)).max() < FAR
     assert np.abs(base_sigmas(solution, session.boards[session.board])).max() < FAR
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_the_search_judges_a_law_under_that_law(
+    hidden: Callable[..., Any], without_base_speed: str, seed: int
+) -> None:
+    """In the samples alone, backlash of pan and tilt is like the moves of another base speed."""
+    session = hidden(f"base_speed_jump:{BASE_SPEED_RAD_S}", seed=seed, program=without_base_speed)
+    base = base_fit(session)
+    explanation = explain_fit(base, session.board)
+    (named,) = explanation.findings.causes
+    assert named.term.cause == "base_speed_jump"
+    assert named.one_of == ()
+    errors = [(value.value - BASE_SPEED_RAD_S) / value.std for value in named.values]
+    assert np.abs(errors).max() < FAR
+    # A direct fit of the true model has no more likelihood.
+    space, answer = MotionFitSpace(base), MotionFitSpace(explanation.solution_extended)
+    true = extend_fit(space, free_term(find_term("base_speed_jump")))
+    assert true.convergence.converged
+    likelihoods = true.log_likelihoods([answer, true])
+    assert likelihoods[0] == pytest.approx(likelihoods[1], abs=2.0)
 
 
 @pytest.mark.parametrize("seed", SEEDS)

@@ -8,9 +8,12 @@ import pytest
 from gyrorig_solver.discover.cause_search import SearchResult
 from gyrorig_solver.discover.checks.model_check import JudgedModel
 from gyrorig_solver.discover.checks.ramp_check import RampCheck
+from gyrorig_solver.discover.law_candidates import fit_law_cause
 from gyrorig_solver.discover.motion_space import MotionFitSpace
-from gyrorig_solver.discover.ramp_acceleration import candidate_from_replies, detect_ramp_error
+from gyrorig_solver.discover.ramp_acceleration import detect_ramp_error
+from gyrorig_solver.discover.score_tests import scan_catalogue
 from gyrorig_solver.discover.testable_terms import FALSE_ALARM_RATE
+from gyrorig_solver.model.causes.base_speed_jump import BaseSpeedJump
 from gyrorig_solver.pipeline.prepare_board import fit_base_model
 
 TESTS = 45
@@ -41,15 +44,12 @@ def test_ramps_as_told_have_none_and_a_limit(hidden: Callable[..., Any]) -> None
 
 def test_the_replies_name_a_base_speed_for_the_search(hidden: Callable[..., Any]) -> None:
     session = hidden("base_speed_jump:0.15", seed=7)
-    candidate = candidate_from_replies(
-        fit_base_model([session.recording], session.board), TESTS, FALSE_ALARM_RATE
-    )
+    space = MotionFitSpace(fit_base_model([session.recording], session.board))
+    (score, *_) = scan_catalogue(space.projector(), [BaseSpeedJump()], TESTS)
+    assert score.p_value < FALSE_ALARM_RATE
+    candidate = fit_law_cause(space, BaseSpeedJump()).candidate
     assert candidate is not None
-    assert candidate.extension.term.cause == "base_speed_jump"
-    # Good start values for a fit, from a coarse grid of base speeds.
-    assert candidate.extension.free_indices.size
-    for k in candidate.extension.free_indices:
-        assert candidate.extension.values[k] == pytest.approx(0.15, rel=0.1)
+    assert candidate.extension.values == pytest.approx([0.15, 0.15], abs=4.0 * candidate.std.max())
 
 
 @pytest.mark.parametrize("cause", [(), ("acceleration_error@tilt:-0.01",)])
@@ -57,8 +57,11 @@ def test_ramps_of_the_base_model_are_no_candidate(
     hidden: Callable[..., Any], cause: tuple[str, ...]
 ) -> None:
     session = hidden(*cause, seed=7)
-    base = fit_base_model([session.recording], session.board)
-    assert candidate_from_replies(base, TESTS, FALSE_ALARM_RATE) is None
+    space = MotionFitSpace(fit_base_model([session.recording], session.board))
+    laws = [term for term in space.terms.values() if term.law_quantity is not None]
+    scores = scan_catalogue(space.projector(), laws, TESTS)
+    assert len(scores) == 9  # three quantities, each on pan, on tilt and on both
+    assert all(score.p_value > FALSE_ALARM_RATE for score in scores)
 
 
 def test_a_base_speed_of_the_grid_is_stated_without_uncertainty(

@@ -186,6 +186,12 @@ class AttitudeFitSpace(FitSpace):
         shift = base.propagate(last_recording_part(step, len(self.recording_names)))
         return replace(base, values=base.values + shift)
 
+    def parameter_shift(self, other: Self) -> FloatArray:
+        """Return the change of G and each (b, tau) from this fit to another one, (board,)."""
+        size = self.base.best_step().size
+        before, after = (space._projector.best_step()[:size] for space in (self, other))
+        return np.asarray(after - before, dtype=np.float64)
+
     def dependence_tests(self, projector: NuisanceProjector) -> list[DependenceTest]:
         """Test the residual for smooth functions; its scatter is the reference's own."""
         families = [*smooth_families(projector.states), *attitude_families()]

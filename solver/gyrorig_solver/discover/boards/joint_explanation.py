@@ -4,7 +4,8 @@ Each board is searched separately first. A cause that may belong to the unit, or
 with a cause of the unit, is then tested on all boards: one common size, or separate sizes
 (`scope_hypotheses`). A cause of the unit is fitted to every board with a prior from the other
 boards (`joint_projector.prior_from_others`), which equals the joint fit. Finally causes that no
-board shows alone are searched in all boards together.
+board shows alone are searched in all boards together. A cause of the motion law that a board shows
+is fitted to all boards and to the position replies, which they share (`common_law`).
 
 What to use when: `explain_jointly` from a fit of the base model to each board.
 """
@@ -15,6 +16,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from gyrorig_solver.discover.boards.common_law import fit_common_law
 from gyrorig_solver.discover.boards.joint_projector import (
     JointProjector,
     LocalQuadratic,
@@ -29,7 +31,11 @@ from gyrorig_solver.discover.boards.scope_hypotheses import (
 )
 from gyrorig_solver.discover.candidate_fits import MAX_CANDIDATES, global_p_value
 from gyrorig_solver.discover.cause_findings import Attribution, FitExplanation
-from gyrorig_solver.discover.cause_ranking import RankedCause, confusable_labels
+from gyrorig_solver.discover.cause_ranking import (
+    RankedCause,
+    confusable_labels,
+    rank_against_alternatives,
+)
 from gyrorig_solver.discover.cause_search import SearchResult, search_causes
 from gyrorig_solver.discover.exact_fit import FittedCandidate
 from gyrorig_solver.discover.fit_criticism import scan_other_causes
@@ -91,6 +97,23 @@ class _BoardSearch:
         if refitted.convergence.converged:
             self.ranked_causes, self.space = ranked_causes, refitted
 
+    def take_law(self, space: MotionFitSpace, term: Term) -> None:
+        """Continue with a fit that has a cause of the motion law at its common value."""
+        ranked_by_label = {term_label(c.term): ranked for c, ranked in self.fitted_causes()}
+        self.space = space
+        fitted = [
+            k for k, extension in enumerate(space.fitted_terms) if extension.free_indices.size
+        ]
+        terms = testable_terms(space.projector())
+        rivals = confusable_labels(term, terms) | {term_label(term)}
+        rivals_and_term = [other for other in terms if term_label(other) in rivals]
+        self.ranked_causes = [
+            ranked_by_label[term_label(space.fitted_terms[k].term)]
+            if term_label(space.fitted_terms[k].term) in ranked_by_label
+            else rank_against_alternatives(space, k, rivals_and_term, count_tests(terms))
+            for k in fitted
+        ]
+
     def update_ranking(self, cause: FittedTerm, ranked: RankedCause) -> None:
         """Replace the ranking of a cause."""
         self.ranked_causes = [
@@ -124,6 +147,7 @@ def explain_jointly(bases: Mapping[str, ConvergedFit]) -> dict[str, FitExplanati
         ranked_causes = list(result.ranked_causes)
         boards.append(_BoardSearch(name, base, result, result.space, ranked_causes, {}))
     if len(boards) > 1 and _share_one_motion(list(bases.values())):
+        _resolve_law_causes(boards)
         for matched in _match_causes(boards):
             _resolve_cause(boards, matched)
         _find_joint_only_causes(boards)
@@ -143,6 +167,29 @@ def _share_one_motion(bases: Sequence[ConvergedFit]) -> bool:
     return many <= MAX_MOTION_UNKNOWNS and all(size == sizes[0] for size in sizes)
 
 
+def _resolve_law_causes(boards: Sequence[_BoardSearch]) -> None:
+    """Fit each cause of the motion law that a board shows to all boards at one common value."""
+    causes = {
+        term_label(cause.term): cause
+        for board in boards
+        for cause, _ in board.fitted_causes()
+        if board.space.changes_law(cause.term)
+    }
+    for label, cause in causes.items():
+        common = fit_common_law({board.name: board.space for board in boards}, cause)
+        if common is None:
+            continue
+        shown = sum(
+            term_label(extension.term) == label
+            for board in boards
+            for extension, _ in board.fitted_causes()
+        )
+        attribution = Attribution("unit", shown, len(boards), common.disagreement_p)
+        for board in boards:
+            board.take_law(common.spaces[board.name], cause.term)
+            board.attributions[label] = attribution
+
+
 def _match_causes(boards: Sequence[_BoardSearch]) -> list[CauseByBoard]:
     """Return causes of different boards that may be the same cause, the most significant first.
 
@@ -152,6 +199,7 @@ def _match_causes(boards: Sequence[_BoardSearch]) -> list[CauseByBoard]:
         (board_number, extension, s)
         for board_number, board in enumerate(boards)
         for extension, s in board.fitted_causes()
+        if not board.space.changes_law(extension.term)
     ]
     named_causes.sort(key=lambda entry: -entry[2].candidate.delta_log_likelihood)
     matches: list[CauseByBoard] = []

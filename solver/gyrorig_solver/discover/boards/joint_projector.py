@@ -20,12 +20,12 @@ from scipy.linalg import block_diag
 from gyrorig_solver.data import FloatArray, IntArray
 from gyrorig_solver.discover.exact_fit import FittedCandidate
 from gyrorig_solver.estimate import (
+    GaussianPrior,
     NuisanceProjector,
     ScoreStatistics,
     SignalFunction,
     WhitenedSignals,
 )
-from gyrorig_solver.estimate.fitted_term import GaussianPrior
 from gyrorig_solver.estimate.whitened_signals import join_channels
 from gyrorig_solver.model import Term
 from gyrorig_solver.numerics import chi2_upper_tail
@@ -40,6 +40,7 @@ class JointProjector(NuisanceProjector):
         """Put them side by side, in this order; they are of the same recordings."""
         self.boards = tuple(boards)
         self.statistics_by_family = {}
+        self._solution = None
         self.segments = tuple(s for part in boards for s in part.segments)
         self.board_parameters = sum(part.board_parameters for part in boards)
         self._ends = np.cumsum([part.residual.size for part in boards])[:-1]

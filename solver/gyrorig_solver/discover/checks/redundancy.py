@@ -80,8 +80,11 @@ def dominated_by_nonparametric(
     projection = model.result.projector
     covariates = {test.covariate for test in dependences}
     families = [f for f in smooth_families(projection.states) if f.covariate in covariates]
-    dominated = []
+    dominated: list[bool] = []
     for k, ranked in model.fitted_causes:
+        if model.space.changes_law(model.space.fitted_terms[k].term):
+            dominated.append(False)  # a function of the rates does not explain the replies
+            continue
         projector = model.space.projector_without(k)
         alpha = FALSE_ALARM_RATE / (ranked.effective_trials * model.tests)
         extension = model.space.fitted_terms[k]

@@ -73,6 +73,7 @@ class LawProfile:
     shift: FloatArray  # (n + g, k), derivative of the fitted moves by the values
     information: FloatArray  # (k, k), the moves eliminated
     score: FloatArray  # (k,)
+    local_count: int  # n
 
     @classmethod
     def of(cls, law: LawInformation, moves: ArrowheadMatrix) -> Self:
@@ -80,4 +81,4 @@ class LawProfile:
         columns = [solve_arrowhead(moves, column) for column in law.cross.T]
         shift = -np.stack(columns, axis=1)
         information = law.law_block + law.cross.T @ shift
-        return cls(shift, (information + information.T) / 2.0, law.score)
+        return cls(shift, (information + information.T) / 2.0, law.score, moves.size[0])

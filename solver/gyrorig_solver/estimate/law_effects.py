@@ -1,0 +1,149 @@
+"""Effects of the values of the motion law, for score tests under the law of a candidate.
+
+A change of the law changes the samples directly and through the moves, which follow the replies
+under the changed law. The replies have information about the law too. A score test of a cause that
+changes the law needs all three: under the moves of another law, the effect looks different.
+
+A higher base speed b mainly shortens the moves, which earlier starts absorb; what remains grows as
+b^2. That of a rounded corner grows as the square of its length. Neither has a derivative at zero,
+so derivatives are taken at small values instead.
+
+What to use when: `LawEffects.of` at a fit; `NuisanceProjector.law_statistics` for the statistics.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Self
+
+import numpy as np
+
+from gyrorig_solver.data import FloatArray, IntArray
+from gyrorig_solver.estimate.converged_fit import ConvergedFit
+from gyrorig_solver.estimate.reference_prediction import predict_derivatives
+from gyrorig_solver.estimate.series_segment import SeriesSegment
+from gyrorig_solver.model import DEG
+from gyrorig_solver.reference import (
+    LAW_QUANTITIES,
+    LAW_VALUES,
+    LawProfile,
+    MotionLaw,
+    PanTiltReference,
+)
+
+# The smallest values at which derivatives are taken: what they change is far below the noise.
+PROBED_BASE_SPEED_RAD_S = 0.15 * DEG
+PROBED_CORNER_S = 5e-3
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LawScale:
+    """Changes of k values of a law, from their changes to first order."""
+
+    origin: FloatArray  # (k,), of the fit, with the setting
+    probed: FloatArray  # (k,), where the derivatives are
+    is_square: tuple[bool, ...]  # whether the effect grows as the square of the value
+
+    @classmethod
+    def of(cls, reference: PanTiltReference) -> Self:
+        """Return that of all values of a law, in the order of `MotionLaw.of_values`."""
+        table, law = reference.move_fit.table, reference.law
+        base_rad_s = np.zeros(2)
+        for axis in (0, 1):
+            moves = table.axis == axis
+            steps_s = float(np.mean(table.base_speed_steps_s[moves])) if moves.any() else 0.0
+            steps_s += law.base_speed_steps_s[axis]
+            base_rad_s[axis] = steps_s * abs(reference.rad_per_step[axis])
+        origin = np.concatenate([law.acceleration_share, base_rad_s, law.corner_s])
+        least = [0.0, 0.0, *[PROBED_BASE_SPEED_RAD_S] * 2, *[PROBED_CORNER_S] * 2]
+        is_square = np.repeat([quantity != "acceleration" for quantity in LAW_QUANTITIES], 2)
+        probed = np.where(is_square, np.maximum(origin, least), origin)
+        return cls(origin, probed, tuple(is_square.tolist()))
+
+    def subset(self, values: IntArray) -> Self:
+        """Return it for some values; `values`: their positions, shape (k,)."""
+        is_square = tuple(self.is_square[k] for k in values)
+        return replace(
+            self, origin=self.origin[values], probed=self.probed[values], is_square=is_square
+        )
+
+    def changes(self, first_order: FloatArray) -> FloatArray:
+        """Return the changes with the same effect as changes to first order, (k,)."""
+        squares = np.maximum(self.origin**2 + 2.0 * self.probed * first_order, 0.0)
+        return np.where(self.is_square, np.sqrt(squares) - self.origin, first_order)
+
+    def effect_shares(self, values: FloatArray) -> FloatArray:
+        """Return the effect of values of the fit, in units of their derivative times the value.
+
+        `values`: by which the law differs from the setting, (k,).
+        """
+        squares = (self.origin - 0.5 * values) / np.where(self.origin > 0.0, self.origin, 1.0)
+        return np.where(self.is_square, squares, 1.0)
+
+    def probe(self, reference: PanTiltReference) -> PanTiltReference:
+        """Return a reference under the law of the derivatives; the values are all of the law."""
+        added = self.probed - self.origin
+        law = reference.law
+        base = np.array(law.base_speed_steps_s) + added[2:4] / np.abs(reference.rad_per_step)
+        corner = np.array(law.corner_s) + added[4:]
+        return reference.with_law(
+            MotionLaw(
+                law.acceleration_share,
+                (float(base[0]), float(base[1])),
+                (float(corner[0]), float(corner[1])),
+                law.has_known_acceleration,
+            )
+        )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LawEffects:
+    """The effects of the values of the law, in the order of `MotionLaw.of_values`."""
+
+    direct: tuple[tuple[FloatArray, ...], ...]  # (6, n, 3) of each part of each segment
+    profiles: tuple[LawProfile, ...]  # of all values, one per recording
+    scale: LawScale  # of the first recording
+
+    @classmethod
+    def of(cls, solution: ConvergedFit, segments: Sequence[SeriesSegment]) -> Self | None:
+        """Return the effects at a fit; None if a recording has no motion of a unit.
+
+        Args:
+            solution: the fit.
+            segments: its series, in order.
+        """
+        references = unit_references(solution)
+        if not references:
+            return None
+        probed = [LawScale.of(reference).probe(reference) for reference in references]
+        series = [
+            (each, session.lag_s, reference.executed)
+            for session, reference in zip(solution.sessions, probed, strict=True)
+            for each in session.series
+        ]
+        direct = []
+        for segment, (each, lag_s, executed) in zip(segments, series, strict=True):
+            parts = []
+            for blocks, model in zip(each.part_slices(), segment.models, strict=True):
+                law = predict_derivatives(each, blocks, executed, lag_s).law
+                passing = model.pass_through
+                share = None if passing is None else passing.at_stage("profile")
+                signals = (solution.gain @ law).transpose(0, 2, 1)
+                parts.append(signals if share is None else signals * share)
+            direct.append(tuple(parts))
+        profiles = [reference.law_profile(np.arange(LAW_VALUES)) for reference in probed]
+        return cls(tuple(direct), tuple(profiles), LawScale.of(references[0]))
+
+    def reply_information(self) -> FloatArray:
+        """Return the information of all replies about the values, (6, 6)."""
+        return np.asarray(np.sum([p.information for p in self.profiles], axis=0), np.float64)
+
+    def reply_score(self) -> FloatArray:
+        """Return the score of the values by all replies, (6,)."""
+        return np.asarray(np.sum([profile.score for profile in self.profiles], axis=0), np.float64)
+
+
+def unit_references(solution: ConvergedFit) -> list[PanTiltReference]:
+    """Return the reference of each recording; none if one of them is not the motion of a unit."""
+    references = [session.reference for session in solution.sessions]
+    units = [reference for reference in references if isinstance(reference, PanTiltReference)]
+    return units if len(units) == len(references) else []
