@@ -21,6 +21,7 @@ from gyrorig_solver.discover.fit_space import Space
 from gyrorig_solver.discover.fitted_values import value_positions
 from gyrorig_solver.discover.score_tests import testable_places
 from gyrorig_solver.estimate import FittedTerm, free_term
+from gyrorig_solver.estimate.noise.outliers import OUTLIER_SIGMA
 from gyrorig_solver.model import Term, value_indices, value_parameters
 
 
@@ -46,22 +47,32 @@ def fit_law_cause(
     extended = space.refit([*other_terms, free_term(term)])
     if not extended.convergence.converged:
         return LawCandidate(extended, None)
-    last = len(other_terms)
-    place, indices = _likeliest_place(extended, last)
-    if place is not None:
-        fitted = extended.fitted_terms[last]
+    fitted = extended.fitted_terms[len(other_terms)]
+    best = _retest_outliers(extended, space, len(other_terms), None)
+    for place, _ in testable_places(term):
+        if place is None:
+            continue
+        indices = np.array(value_indices(term, place, "size"), dtype=np.int64)
         values = np.zeros_like(fitted.values)
         values[indices] = fitted.values[indices]
         restricted = extended.refit([*other_terms, FittedTerm(term, values, indices)])
         if restricted.convergence.converged:
-            extended = restricted
-        else:
-            place = None
-    # An outlier of the other law can agree with this one.
+            judged = _retest_outliers(restricted, space, len(other_terms), place)
+            best = max(best, judged, key=lambda pair: pair[1].log_evidence)
+    return LawCandidate(*best)
+
+
+def _retest_outliers(
+    extended: Space, space: Space, k: int, place: str | None
+) -> tuple[Space, FittedCandidate]:
+    """Return a fit with a cause at one place, and what the cause gains over another fit.
+
+    An outlier of the other law can agree with this one.
+    """
     if extended.outliers:
         again = extended.refit(extended.fitted_terms)
         extended = again if again.convergence.converged else extended
-    return LawCandidate(extended, judge_law_cause(extended, last, space, place))
+    return extended, judge_law_cause(extended, k, space, place)
 
 
 def judge_law_cause(
@@ -77,6 +88,8 @@ def judge_law_cause(
     """
     gain_nats, nats = without.log_likelihoods([space, without])
     gain_nats -= nats
+    # The likelihoods leave out what either fit rejects, and a fit rejects what it explains badly.
+    gain_nats -= 0.5 * OUTLIER_SIGMA**2 * (space.outliers - without.outliers)
     extension, covariance = space.fitted_terms[k], _value_covariance(space, k)
     evidence = gain_nats + _occam_nats(extension, extension.free_indices, covariance)
     return FittedCandidate(
@@ -90,32 +103,6 @@ def judge_law_cause(
     )
 
 
-def _likeliest_place(space: Space, k: int) -> tuple[str | None, IntArray]:
-    """Return the place of a cause's sizes with the most evidence, and their indices.
-
-    The values at other places become zero, and those that remain follow (Laplace's approximation).
-    """
-    extension, covariance = space.fitted_terms[k], _value_covariance(space, k)
-    free = extension.free_indices
-    values = extension.values[free]
-    best: tuple[float, str | None, IntArray] | None = None
-    for place, _ in testable_places(extension.term):
-        at_place = np.isin(free, value_indices(extension.term, place, "size"))
-        out = ~at_place
-        loss, remaining = 0.0, covariance[np.ix_(at_place, at_place)]
-        if out.any():
-            inverse = np.linalg.pinv(covariance[np.ix_(out, out)], hermitian=True)
-            loss = 0.5 * float(values[out] @ inverse @ values[out])
-            cross = covariance[np.ix_(at_place, out)]
-            remaining = remaining - cross @ inverse @ cross.T
-        evidence = _occam_nats(extension, free[at_place], remaining) - loss
-        if best is None or evidence > best[0]:
-            best = evidence, place, free[at_place]
-    if best is None:
-        return None, free
-    return best[1], best[2]
-
-
 def _value_covariance(space: Space, k: int) -> FloatArray:
     positions = value_positions(space, k)
     covariance = space.observability.covariance + space.observability.unobservable_covariance
@@ -123,9 +110,15 @@ def _value_covariance(space: Space, k: int) -> FloatArray:
 
 
 def _occam_nats(extension: FittedTerm, indices: IntArray, covariance: FloatArray) -> float:
-    """Return the logarithm of the Occam factor of some sizes; `covariance`: theirs."""
+    """Return the logarithm of the Occam factor of some sizes; `covariance`: theirs.
+
+    A size that the data do not determine has the width of its prior, and the factor 1.
+    """
     parameters = value_parameters(extension.term)
-    nats = 0.5 * float(np.linalg.slogdet(2.0 * np.pi * covariance)[1])
+    # A normal prior of this width is as high at zero as the Cauchy prior.
+    width = np.sqrt(np.pi / 2.0) * np.array([parameters[index].typical_size for index in indices])
+    limited = covariance - covariance @ np.linalg.solve(covariance + np.diag(width**2), covariance)
+    nats = 0.5 * float(np.linalg.slogdet(2.0 * np.pi * limited)[1])
     for index in indices:
         typical = parameters[index].typical_size
         relative = float(extension.values[index]) / typical
