@@ -223,8 +223,8 @@ def test_a_board_that_is_told_the_rest_ends_where_all_do() -> None:
 
 @pytest.mark.bench
 def test_what_no_board_sees_alone_all_of_them_see(hidden: Callable[..., Any], config: Path) -> None:
-    """Corners rounded over 6.5 ms are below what one board can be sure of in 40 s."""
-    session = hidden("s_curve:0.0065", seed=5, program="survey-40", config=config)
+    """Corners rounded over 5 ms are below what one board can be sure of in 40 s."""
+    session = hidden("s_curve:0.005", seed=5, program="survey-40", config=config)
     bases = {name: fit_base_model([session.recording], name) for name in BOARDS}
     assert search_causes(MotionFitSpace(bases[BOARDS[0]])).ranked_causes == ()
     for explained in explain_jointly(bases).values():
@@ -233,4 +233,4 @@ def test_what_no_board_sees_alone_all_of_them_see(hidden: Callable[..., Any], co
         assert named.attribution is not None
         assert named.attribution.owner == "unit"
         for value in named.values:
-            assert value.value == pytest.approx(0.0065, abs=FAR * value.std)
+            assert value.value == pytest.approx(0.005, abs=FAR * value.std)
