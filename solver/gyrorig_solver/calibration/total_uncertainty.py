@@ -54,7 +54,7 @@ def build_uncertainty(
     base_values = _base_values(calibration.parameters)
     noise_std = {name: std for name, _, std, _ in base_values}
     probability = 1.0 - 2.0 * normal_upper_tail(COVERAGE_FACTOR)
-    errors = budget.error_interval(
+    expanded = budget.expanded_uncertainty(
         np.array([noise_std.get(name, np.nan) for name in CALIBRATION_PARAMETERS]), probability
     )
     for name, value, std, unit in base_values:
@@ -65,7 +65,7 @@ def build_uncertainty(
             type_a=std,
             type_b=type_b,
             total=total,
-            interval=[value - float(errors[index, 1]), value - float(errors[index, 0])],
+            interval=[value - float(expanded[index]), value + float(expanded[index])],
             limit=budget.settings.limits[name.partition(".")[0]],
             unit=unit,
         )

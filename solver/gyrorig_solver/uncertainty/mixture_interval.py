@@ -7,16 +7,17 @@ the causes that are present. With F, s and A the information, score and influenc
     probability  ~ prod p / (1 - p) |F + 1|^-1/2 exp(s' C s / 2),  C = (F + 1)^-1
     error        N(A' C s, A' C A), without the noise
 
-so the error is a mixture of normal distributions, and the interval lies between two of its
-quantiles. If every cause is certain, p = 1, the mixture is one normal distribution.
+so the error is a mixture of normal distributions. The interval is symmetric about the stated value.
+If every cause is certain, p = 1, the mixture is one normal distribution.
 
 The sum over configurations starts without causes. It adds and removes one cause at a time, the most
 probable configuration first. Causes of which the data show nothing stay independent.
 
-What to use when: `error_mixture` for the distribution; `ErrorMixture.interval` for an interval.
+What to use when: `error_mixture` for the distribution; `ErrorMixture.expanded_uncertainty`
+for an interval.
 
-Sources: JCGM 101:2008, 7.7 (interval of a distribution that is not normal); Madigan and Raftery,
-J. Am. Stat. Assoc. 89 (1994) 1535 (sum over the most probable models).
+Sources: JCGM 101:2008, 5.3 and 7.7 (interval of a distribution that is not normal); Madigan and
+Raftery, J. Am. Stat. Assoc. 89 (1994) 1535 (sum over the most probable models).
 """
 
 from dataclasses import dataclass
@@ -67,8 +68,8 @@ class ErrorMixture:
         """Return one normal distribution; mean and variance (q,)."""
         return cls(np.ones(1), mean[None, :], variance[None, :])
 
-    def interval(self, noise_std: FloatArray, probability: float) -> FloatArray:
-        """Return the probabilistically symmetric interval of each parameter's error, (q, 2).
+    def expanded_uncertainty(self, noise_std: FloatArray, probability: float) -> FloatArray:
+        """Return U of each parameter, (q,): the error is in the interval 0 ± U.
 
         Args:
             noise_std: standard uncertainty from noise, (q,); NaN gives NaN.
@@ -77,17 +78,14 @@ class ErrorMixture:
         # The normal distribution of a correction can have a little less variance than the noise.
         variance = np.maximum(self.variance + noise_std**2, NEGLIGIBLE_SHARE * noise_std**2)
         std = np.sqrt(np.maximum(variance, np.finfo(float).tiny))
-        lowest = (self.mean - BRACKET_STD * std).min(axis=0)
-        highest = (self.mean + BRACKET_STD * std).max(axis=0)
-        ends = []
-        for level in (0.5 * (1.0 - probability), 0.5 * (1.0 + probability)):
-            low, high = lowest, highest
-            for _ in range(BISECTIONS):
-                middle = 0.5 * (low + high)
-                is_below = self.weight @ ndtr((middle - self.mean) / std) < level
-                low, high = np.where(is_below, middle, low), np.where(is_below, high, middle)
-            ends.append(0.5 * (low + high))
-        return np.stack(ends, axis=1)
+        low = np.zeros(noise_std.size)
+        high = (np.abs(self.mean) + BRACKET_STD * std).max(axis=0)
+        for _ in range(BISECTIONS):
+            middle = 0.5 * (low + high)
+            inside = ndtr((middle - self.mean) / std) - ndtr((-middle - self.mean) / std)
+            is_narrow = self.weight @ inside < probability
+            low, high = np.where(is_narrow, middle, low), np.where(is_narrow, high, middle)
+        return np.asarray(0.5 * (low + high), dtype=np.float64)
 
     def with_independent(self, probability: float, mean: FloatArray, variance: FloatArray) -> Self:
         """Return the mixture with one more, independent cause; mean and variance (q,)."""

@@ -73,8 +73,8 @@ class UncertaintyBudget:
         """
         return np.sqrt(np.clip(np.diag(self.covariance), 0.0, None) + self.expected_error**2)
 
-    def error_interval(self, noise_std: FloatArray, probability: float) -> FloatArray:
-        """Return the probabilistically symmetric interval of each stated value's error, (p, 2).
+    def expanded_uncertainty(self, noise_std: FloatArray, probability: float) -> FloatArray:
+        """Return U of each parameter, (p,): the true value is in the stated value ± U.
 
         Args:
             noise_std: type A standard uncertainty, (p,); NaN gives NaN.
@@ -83,7 +83,7 @@ class UncertaintyBudget:
         mixture = self.mixture
         if mixture is None:
             mixture = ErrorMixture.normal(self.expected_error, np.diag(self.covariance))
-        return mixture.interval(noise_std, probability)
+        return mixture.expanded_uncertainty(noise_std, probability)
 
 
 def assess_uncertainty(

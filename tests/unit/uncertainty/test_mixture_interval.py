@@ -1,6 +1,7 @@
 """Intervals of errors by causes that are present or absent, against sums and draws."""
 
 import itertools
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -62,8 +63,8 @@ def all_configurations(sizes: UncertainSizes) -> ErrorMixture:
 def test_the_mixture_is_the_sum_over_all_configurations(seed: int, chance: float) -> None:
     sizes = sizes_of(np.array([chance, chance, 1.0, chance, chance]), seed)
     noise = np.array([0.1, 0.5])
-    summed = error_mixture(sizes).interval(noise, TWO_STD)
-    exact = all_configurations(sizes).interval(noise, TWO_STD)
+    summed = error_mixture(sizes).expanded_uncertainty(noise, TWO_STD)
+    exact = all_configurations(sizes).expanded_uncertainty(noise, TWO_STD)
     assert summed == pytest.approx(exact, rel=2e-3, abs=2e-3)
 
 
@@ -74,16 +75,26 @@ def test_certain_causes_give_a_normal_distribution(seed: int) -> None:
     mean = sizes.score @ covariance @ sizes.influence
     variance = np.einsum("kq,kl,lq->q", sizes.influence, covariance, sizes.influence)
     noise = np.array([0.2, np.nan])
-    interval = error_mixture(sizes).interval(noise, TWO_STD)
-    std = np.sqrt(variance + noise**2)
-    assert interval[0] == pytest.approx([mean[0] - 2.0 * std[0], mean[0] + 2.0 * std[0]], rel=1e-8)
-    assert np.isnan(interval[1]).all()
+    expanded = error_mixture(sizes).expanded_uncertainty(noise, TWO_STD)
+    std = np.sqrt(variance[0] + noise[0] ** 2)
+    inside = norm.cdf(expanded[0], mean[0], std) - norm.cdf(-expanded[0], mean[0], std)
+    assert inside == pytest.approx(TWO_STD, rel=1e-8)
+    assert np.isnan(expanded[1])
+
+
+def test_certain_causes_without_a_score_give_two_standard_uncertainties() -> None:
+    sizes = replace(sizes_of(np.ones(5)), score=np.zeros(CAUSE.size))
+    covariance = np.linalg.inv(sizes.information + np.eye(CAUSE.size))
+    variance = np.einsum("kq,kl,lq->q", sizes.influence, covariance, sizes.influence)
+    noise = np.array([0.2, 0.4])
+    expanded = error_mixture(sizes).expanded_uncertainty(noise, TWO_STD)
+    assert expanded == pytest.approx(2.0 * np.sqrt(variance + noise**2), rel=1e-8)
 
 
 def test_a_probability_next_to_one_is_nearly_certain() -> None:
     noise = np.array([0.2, 0.2])
-    nearly = error_mixture(sizes_of(np.full(5, 1.0 - 1e-9))).interval(noise, TWO_STD)
-    certain = error_mixture(sizes_of(np.ones(5))).interval(noise, TWO_STD)
+    nearly = error_mixture(sizes_of(np.full(5, 1.0 - 1e-9))).expanded_uncertainty(noise, TWO_STD)
+    certain = error_mixture(sizes_of(np.ones(5))).expanded_uncertainty(noise, TWO_STD)
     assert nearly == pytest.approx(certain, rel=1e-6)
 
 
@@ -120,13 +131,11 @@ def test_intervals_agree_with_weighted_draws() -> None:
     weight = np.exp(log_weight - log_weight.max())
     weight /= weight.sum()
     error = drawn @ sizes.influence + noise * generator.standard_normal((count, 2))
-    interval = error_mixture(sizes).interval(noise, TWO_STD)
+    expanded = error_mixture(sizes).expanded_uncertainty(noise, TWO_STD)
     effective = 1.0 / np.sum(weight**2)
-    tail = 0.5 * (1.0 - TWO_STD)
-    for k in range(2):
-        below = weight @ (error[:, k] < interval[k, 0])
-        above = weight @ (error[:, k] > interval[k, 1])
-        assert [below, above] == pytest.approx([tail] * 2, abs=4.0 * np.sqrt(tail / effective))
+    outside = weight @ (np.abs(error) > expanded)
+    tail = 1.0 - TWO_STD
+    assert outside == pytest.approx([tail] * 2, abs=4.0 * np.sqrt(tail / effective))
 
 
 def test_intervals_hold_as_often_as_stated() -> None:
@@ -146,8 +155,7 @@ def test_intervals_hold_as_often_as_stated() -> None:
             sizes.information, score, sizes.influence, CAUSE, probability,
             np.eye(CAUSE.size), np.zeros(CAUSE.size),
         )  # fmt: skip
-        low, high = error_mixture(made).interval(noise, TWO_STD).T
-        inside.append((low <= error) & (error <= high))
+        inside.append(np.abs(error) <= error_mixture(made).expanded_uncertainty(noise, TWO_STD))
     assert np.mean(inside, axis=0) == pytest.approx(TWO_STD, abs=4.0 * 0.012)
 
 
@@ -166,20 +174,19 @@ def test_an_unseen_cause_widens_the_interval_by_its_probability(
 ) -> None:
     """The variance of a rare cause describes neither the rigs with it nor those without it."""
     mixture = error_mixture(unseen(np.array([chance]), np.array([10.0])))
-    ((low, high),) = mixture.interval(np.ones(1), TWO_STD)
-    outside = chance * 2.0 * norm.sf(high / np.hypot(10.0, 1.0))
-    outside += (1.0 - chance) * 2.0 * norm.sf(high)
+    (expanded,) = mixture.expanded_uncertainty(np.ones(1), TWO_STD)
+    outside = chance * 2.0 * norm.sf(expanded / np.hypot(10.0, 1.0))
+    outside += (1.0 - chance) * 2.0 * norm.sf(expanded)
     assert outside == pytest.approx(1.0 - TWO_STD, rel=1e-6)
-    assert low == pytest.approx(-high)
-    assert bool(high < 2.0 * np.sqrt(1.0 + chance * 100.0)) is narrower
+    assert bool(expanded < 2.0 * np.sqrt(1.0 + chance * 100.0)) is narrower
 
 
 def test_many_unseen_causes_add_their_variances() -> None:
     chance, std = np.full(60, 0.5), np.full(60, 1.0)
     mixture = error_mixture(unseen(chance, std))
     assert mixture.weight.size <= 2**8
-    ((low, high),) = mixture.interval(np.full(1, 1e-3), TWO_STD)
-    assert [low, high] == pytest.approx([-2.0 * np.sqrt(30.0), 2.0 * np.sqrt(30.0)], rel=0.01)
+    (expanded,) = mixture.expanded_uncertainty(np.full(1, 1e-3), TWO_STD)
+    assert expanded == pytest.approx(2.0 * np.sqrt(30.0), rel=0.01)
 
 
 def test_strong_evidence_decides_between_causes() -> None:
@@ -188,9 +195,9 @@ def test_strong_evidence_decides_between_causes() -> None:
         np.array([[400.0, 0.0], [0.0, 400.0]]), np.array([300.0, 0.0]), np.ones((2, 1)),
         np.array([0, 1]), np.array([0.05, 0.05]), np.eye(2), np.zeros(2),
     )  # fmt: skip
-    ((low, high),) = error_mixture(sizes).interval(np.full(1, 0.01), TWO_STD)
-    assert 0.5 * (low + high) == pytest.approx(300.0 / 401.0, rel=1e-3)
-    assert high - low == pytest.approx(4.0 * np.hypot(0.01, 1.0 / np.sqrt(401.0)), rel=0.1)
+    (expanded,) = error_mixture(sizes).expanded_uncertainty(np.full(1, 0.01), TWO_STD)
+    mean, std = 300.0 / 401.0, np.hypot(0.01, 1.0 / np.sqrt(401.0))
+    assert expanded == pytest.approx(mean + norm.ppf(TWO_STD) * std, rel=0.02)
 
 
 def test_rounding_below_zero_is_not_taken_for_information() -> None:
@@ -205,4 +212,4 @@ def test_rounding_below_zero_is_not_taken_for_information() -> None:
             )
         )  # fmt: skip
         assert np.all(mixture.variance >= 0.0)
-        assert np.isfinite(mixture.interval(np.ones(1), 0.95)).all()
+        assert np.isfinite(mixture.expanded_uncertainty(np.ones(1), 0.95)).all()

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from statistics import NormalDist
 from types import MappingProxyType
 
 import numpy as np
@@ -99,13 +100,15 @@ def test_an_expected_error_that_is_not_corrected_adds_its_square() -> None:
     assert made.uncertainty.parameters["misalignment.y"].type_b == pytest.approx(5e-4)
 
 
-def test_an_expected_error_shifts_the_interval() -> None:
-    """A value that is probably 0.4 mrad too small: the interval lies above it."""
+def test_an_expected_error_widens_the_interval_on_both_sides() -> None:
+    """A value that is probably 0.4 mrad too small: the interval about it contains the true one."""
     made = with_total_uncertainty(document(), budget(3e-4, error=-4e-4))
     assert made.uncertainty is not None
-    half = 2.0 * math.sqrt(10.0) * 1e-4
-    y = made.uncertainty.parameters["misalignment.y"]
-    assert y.interval == pytest.approx([4e-4 - half, 4e-4 + half])
+    std = math.sqrt(10.0) * 1e-4
+    low, high = made.uncertainty.parameters["misalignment.y"].interval
+    assert low == pytest.approx(-high)
+    error = NormalDist(-4e-4, std)
+    assert error.cdf(high) - error.cdf(low) == pytest.approx(0.9545, abs=1e-4)
 
 
 def test_the_interval_of_a_rare_cause_is_narrower_than_two_totals() -> None:

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.stats import norm
 
 from gyrorig_daemon.cli import run
 from gyrorig_protocol.recording.reader import read_recording
@@ -17,7 +18,6 @@ from gyrorig_solver.discover import CALIBRATION_PARAMETERS
 from gyrorig_solver.discover.calibration_changes import CalibrationValues
 from gyrorig_solver.estimate import ConvergedFit, NuisanceProjector
 from gyrorig_solver.model import factorise
-from gyrorig_solver.numerics import normal_upper_tail
 from gyrorig_solver.pipeline.board_data import load_board
 from gyrorig_solver.pipeline.prepare_board import fit_base
 from gyrorig_solver.uncertainty import (
@@ -215,9 +215,10 @@ def test_the_interval_of_certain_causes_is_that_of_a_normal_distribution(
     unit = UnitPosterior.from_table(settings) if is_unit_known else None
     made = assess_uncertainty(leaning.fit, settings, unit_prior=unit)
     std = np.sqrt(np.diag(made.covariance) + NOISE**2)
-    interval = made.error_interval(NOISE, 1.0 - 2.0 * normal_upper_tail(2.0))
-    assert interval[:, 0] == pytest.approx(made.expected_error - 2.0 * std, rel=1e-6, abs=1e-12)
-    assert interval[:, 1] == pytest.approx(made.expected_error + 2.0 * std, rel=1e-6, abs=1e-12)
+    expanded = made.expanded_uncertainty(NOISE, 0.95)
+    inside = norm.cdf(expanded, made.expected_error, std)
+    inside -= norm.cdf(-expanded, made.expected_error, std)
+    assert inside == pytest.approx(0.95, rel=1e-6)
 
 
 @pytest.mark.parametrize("is_unit_known", [False, True])
@@ -230,7 +231,7 @@ def test_the_interval_without_an_improbable_cause_is_that_of_the_others(
     for settings in (improbable, without):
         unit = UnitPosterior.from_table(settings) if is_unit_known else None
         made = assess_uncertainty(leaning.fit, settings, unit_prior=unit)
-        intervals.append(made.error_interval(NOISE, 0.95))
+        intervals.append(made.expanded_uncertainty(NOISE, 0.95))
     assert intervals[0] == pytest.approx(intervals[1], rel=1e-4, abs=1e-9)
 
 
@@ -238,8 +239,8 @@ def test_a_rare_cause_that_no_motion_shows_hardly_widens_the_interval(leaning: S
     """One rig in fifty has a wrong tilt zero: 95 % of the errors are much smaller than 2 u."""
     x = CALIBRATION_PARAMETERS.index("misalignment.x")
     made = assess_uncertainty(leaning.fit, with_probability("tilt_zero", 0.02))
-    low, high = made.error_interval(NOISE, 0.95)[x]
-    assert high - low < 0.5 * 3.92 * np.hypot(made.std[x], NOISE[x])
+    expanded = made.expanded_uncertainty(NOISE, 0.95)[x]
+    assert expanded < 0.5 * 1.96 * np.hypot(made.std[x], NOISE[x])
 
 
 def test_the_other_sizes_of_a_fitted_cause_are_certain(
@@ -250,8 +251,10 @@ def test_the_other_sizes_of_a_fitted_cause_are_certain(
     def present_causes(*words: Any) -> list[UnidentifiedCause]:
         return [replace(cause, is_present=True) for cause in unidentified_causes(*words)]
 
-    certain = assess_uncertainty(leaning.fit, only(**KNOWN_CAUSES)).error_interval(NOISE, 0.95)
+    certain = assess_uncertainty(leaning.fit, only(**KNOWN_CAUSES)).expanded_uncertainty(
+        NOISE, 0.95
+    )
     monkeypatch.setattr(uncertainty_budget, "unidentified_causes", present_causes)
     rare = with_probability("tilt_zero", 0.02)
-    present = assess_uncertainty(leaning.fit, rare).error_interval(NOISE, 0.95)
+    present = assess_uncertainty(leaning.fit, rare).expanded_uncertainty(NOISE, 0.95)
     assert present == pytest.approx(certain, rel=1e-6, abs=1e-12)
