@@ -10,7 +10,7 @@ from gyrorig_protocol.recording.reader import read_recording
 from gyrorig_solver.data import FloatArray
 from gyrorig_solver.discover.attitude.attitude_space import fit_attitude_space
 from gyrorig_solver.discover.attitude.attitude_terms import MovingBias, ReferenceSmoothing
-from gyrorig_solver.estimate.fitted_term import free_term
+from gyrorig_solver.estimate import free_term
 from gyrorig_solver.findings import CauseEntry, FindingsDocument
 from gyrorig_solver.findings.findings_document import GainEntry, parse_findings
 from gyrorig_solver.findings.findings_wording import size_text, verdict_words

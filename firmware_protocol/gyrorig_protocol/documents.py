@@ -17,6 +17,7 @@ import yaml
 
 from gyrorig_protocol.errors import GyrorigError, InputError, UsageError
 from gyrorig_protocol.file_kinds import (
+    CSV_TABLE,
     EMPTY_FILE,
     HEAD_BYTES,
     NEVER_YAML,
@@ -66,9 +67,12 @@ def parse_yaml(
     """
     head = text[:HEAD_BYTES]
     kind = describe_file_kind(head.encode(errors="replace") if isinstance(head, str) else head)
-    if kind in NEVER_YAML or (schema and kind == EMPTY_FILE):
+    is_too_large = len(text) > MAX_DOCUMENT_BYTES
+    # Only a text that is no YAML mapping is certain to be a table.
+    is_table = kind == CSV_TABLE and is_too_large
+    if kind in NEVER_YAML or is_table or (schema and kind == EMPTY_FILE):
         raise error(*explain_wrong_kind(name, kind, schema))
-    if len(text) > MAX_DOCUMENT_BYTES:
+    if is_too_large:
         raise error(
             f"{name} is larger than {MAX_DOCUMENT_BYTES // 1_000_000} MB, the largest document "
             "that can be read",
@@ -80,10 +84,14 @@ def parse_yaml(
     except _RepeatedKeyError as fault:
         rejection = (f"has the key {fault} twice", "write the key once")
     except (yaml.YAMLError, ValueError, OverflowError, RecursionError) as fault:
+        if kind == CSV_TABLE:
+            raise error(*explain_wrong_kind(name, kind, schema)) from fault
         raise error(
             f"{name} is not a YAML document{_error_position(fault)} ({_parser_message(fault)})",
             "correct the document, or give another file",
         ) from fault
+    if kind == CSV_TABLE and isinstance(value, str):
+        raise error(*explain_wrong_kind(name, kind, schema))
     rejection = rejection or _find_unsupported_value(value)
     if rejection:
         problem, remedy = rejection

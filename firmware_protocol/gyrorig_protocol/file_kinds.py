@@ -15,7 +15,7 @@ NUMPY_ARCHIVE = "a NumPy archive (npz)"
 CSV_TABLE = "a table (CSV)"
 EMPTY_FILE = "an empty file"
 ZIP_ARCHIVE = "a ZIP archive"
-NEVER_YAML = frozenset({RECORDING, REPORT_PAGE, NUMPY_ARCHIVE, ZIP_ARCHIVE, CSV_TABLE})
+NEVER_YAML = frozenset({RECORDING, REPORT_PAGE, NUMPY_ARCHIVE, ZIP_ARCHIVE})
 
 _SCHEMA_KINDS = {
     "calibration": "a calibration",

@@ -35,7 +35,13 @@ from gyrorig_solver.model.recording_scope import (
     term_label,
     value_labels,
 )
-from gyrorig_solver.model.signal_arrays import AxisBiases, Signals, dense_signals, zero_signals
+from gyrorig_solver.model.signal_arrays import (
+    AxisBiases,
+    Signals,
+    dense_signals,
+    split_axes,
+    zero_signals,
+)
 from gyrorig_solver.model.signal_state import SignalState
 from gyrorig_solver.model.term import (
     BinnedDependence,
@@ -92,6 +98,7 @@ __all__ = [
     "parameter_label",
     "plural",
     "recording_index_of",
+    "split_axes",
     "start_values",
     "term_label",
     "term_of_law",

@@ -11,14 +11,13 @@ import pytest
 from tests.unit.discover.conftest import ROOT
 
 from gyrorig_protocol.identity import BoardId
+from gyrorig_solver.discover import explain_fit
 from gyrorig_solver.discover.extended_fit import extend_fit
-from gyrorig_solver.discover.fit_explanation import explain_fit
 from gyrorig_solver.discover.motion_space import MotionFitSpace
-from gyrorig_solver.estimate import ConvergedFit, fit_boards_jointly, refit_with_terms
+from gyrorig_solver.estimate import ConvergedFit, fit_boards_jointly, free_term, refit_with_terms
 from gyrorig_solver.estimate.board_fit import BoardFit
 from gyrorig_solver.estimate.executed_motion import law_columns
 from gyrorig_solver.estimate.fit_segments import negative_log_likelihood
-from gyrorig_solver.estimate.fitted_term import free_term
 from gyrorig_solver.estimate.information import RecordingEquations
 from gyrorig_solver.estimate.likelihood_fit import LikelihoodFit
 from gyrorig_solver.estimate.trust_region import ProposedStep

@@ -3,9 +3,11 @@
 import pytest
 
 from gyrorig_solver.calibration.calibration_wording import _cause_unit
+from gyrorig_solver.findings import amount_text
 from gyrorig_solver.findings.findings_document import SizeEntry
-from gyrorig_solver.findings.findings_wording import amount_text, size_text
-from gyrorig_solver.model.catalogue import catalogue, cause_display_unit
+from gyrorig_solver.findings.findings_wording import size_text
+from gyrorig_solver.model import cause_display_unit
+from gyrorig_solver.model.catalogue import catalogue
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,7 @@ import pytest
 from tests.unit.fleet.conftest import row
 from tests.unit.fleet.test_fleet_overview import script
 
-from gyrorig_solver.calibration.calibration_store import create_store
+from gyrorig_solver.calibration import create_store
 from gyrorig_solver.cli import run
 from gyrorig_solver.fleet.store import StoreIndex
 from gyrorig_solver.fleet.store.folder_journal import FolderJournal

@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
-from gyrorig_solver.estimate.fitted_term import fixed_term, free_term
-from gyrorig_solver.estimate.parameter_layout import ParameterLayout, eliminate_parameters
+from gyrorig_solver.estimate import ParameterLayout, free_term
+from gyrorig_solver.estimate.fitted_term import fixed_term
+from gyrorig_solver.estimate.parameter_layout import eliminate_parameters
 from gyrorig_solver.model import find_term
 
 UNIT_CAUSE, BOARD_CAUSE = "axis_nonorthogonality", "scale_quadratic"

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from tests.unit.solver.made import reference_of, samples_of
 
-from gyrorig_solver.estimate import UNIT_REMEDIES, fit_motion
-from gyrorig_solver.estimate.fitted_term import fixed_term, free_term
+from gyrorig_solver.estimate import UNIT_REMEDIES, fit_motion, free_term
+from gyrorig_solver.estimate.fitted_term import fixed_term
 from gyrorig_solver.estimate.motion_fit import fit_recordings
 from gyrorig_solver.estimate.thermal_order import choose_order
 from gyrorig_solver.model import BoardTemperature, RecordingContext, Site, factorise, find_term

@@ -5,10 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from gyrorig_solver.reference import LAW_VALUES, LawProfile, MotionLaw
 from gyrorig_solver.reference.unit.axis_trajectory import build_trajectories
 from gyrorig_solver.reference.unit.law_fit import LawFits
-from gyrorig_solver.reference.unit.law_information import LawProfile
-from gyrorig_solver.reference.unit.motion_law import LAW_VALUES, MotionLaw
 from gyrorig_solver.reference.unit.move_fit import MoveFit, UnitPolls, fit_moves
 from gyrorig_solver.reference.unit.move_table import MoveTable
 from gyrorig_solver.reference.unit.profile_derivatives import differentiate_move

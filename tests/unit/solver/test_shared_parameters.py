@@ -13,14 +13,15 @@ from gyrorig_solver.estimate import (
     BASE_PARAMETERS,
     ConvergedFit,
     FittedTerm,
+    GaussianPrior,
+    ParameterLayout,
     SessionFit,
     fit_boards_jointly,
+    free_term,
     is_unit_cause,
 )
-from gyrorig_solver.estimate.fitted_term import GaussianPrior, free_term
 from gyrorig_solver.estimate.information import MarginalEquations
 from gyrorig_solver.estimate.motion_fit import solve_motion
-from gyrorig_solver.estimate.parameter_layout import ParameterLayout
 from gyrorig_solver.estimate.shared_parameters import average_shared_values, shared_term_p_value
 from gyrorig_solver.model import find_term
 

@@ -31,10 +31,10 @@ from gyrorig_solver.model import (
     Term,
     TermParameter,
     format_list,
+    split_axes,
     start_values,
 )
 from gyrorig_solver.model.catalogue import catalogue
-from gyrorig_solver.model.signal_arrays import split_axes
 from gyrorig_solver.model.term import Scope
 
 

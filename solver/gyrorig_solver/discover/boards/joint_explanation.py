@@ -12,10 +12,11 @@ What to use when: `explain_jointly` from a fit of the base model to each board.
 
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
+from gyrorig_solver.discover.boards.board_search import BoardSearch
 from gyrorig_solver.discover.boards.common_law import fit_common_law
 from gyrorig_solver.discover.boards.joint_projector import (
     JointProjector,
@@ -34,11 +35,9 @@ from gyrorig_solver.discover.cause_findings import Attribution, FitExplanation
 from gyrorig_solver.discover.cause_ranking import (
     RankedCause,
     confusable_labels,
-    rank_against_alternatives,
 )
-from gyrorig_solver.discover.cause_search import SearchResult, search_causes
+from gyrorig_solver.discover.cause_search import search_causes
 from gyrorig_solver.discover.exact_fit import FittedCandidate
-from gyrorig_solver.discover.fit_criticism import scan_other_causes
 from gyrorig_solver.discover.fit_explanation import explain_search
 from gyrorig_solver.discover.motion_space import MotionFitSpace
 from gyrorig_solver.discover.score_tests import scan_catalogue
@@ -56,81 +55,6 @@ MAX_JOINT_ONLY_CAUSES = 4  # causes that only all boards together show
 CauseByBoard = dict[int, tuple[FittedTerm, RankedCause]]  # by board: what is to be explained
 
 
-@dataclass(slots=True, eq=False)
-class _BoardSearch:
-    """The state of one board's search."""
-
-    name: str
-    base: MotionFitSpace
-    result: SearchResult[MotionFitSpace]
-    space: MotionFitSpace
-    ranked_causes: list[RankedCause]  # of each fitted cause, in the fit's order
-    attributions: dict[str, Attribution]
-
-    def fitted_causes(self) -> list[tuple[FittedTerm, RankedCause]]:
-        fitted = [term for term in self.space.fitted_terms if term.free_indices.size]
-        return list(zip(fitted, self.ranked_causes, strict=True))
-
-    def projector_without(self, dropped: FittedTerm | None) -> NuisanceProjector:
-        """Return the projector of the fit, or of the fit without one of its causes."""
-        if dropped is None:
-            return self.space.projector()
-        return self.space.projector_without(self.space.fitted_terms.index(dropped))
-
-    def replace_cause(
-        self, replaced: FittedTerm | None, cause: FittedTerm, ranked: RankedCause
-    ) -> None:
-        """Fit a cause, in place of another one or in addition to all, if the fit converges."""
-        known_terms = [term for term in self.space.fitted_terms if not term.free_indices.size]
-        others = [pair for pair in self.fitted_causes() if pair[0] is not replaced]
-        fitted_terms = [*known_terms, *(extension for extension, _ in others), cause]
-        self._refit(fitted_terms, [*(ranking for _, ranking in others), ranked])
-
-    def drop_cause(self, dropped: FittedTerm) -> None:
-        """Refit without a cause, if that fit converges."""
-        ranked_causes = [ranked for cause, ranked in self.fitted_causes() if cause is not dropped]
-        others = [cause for cause in self.space.fitted_terms if cause is not dropped]
-        self._refit(others, ranked_causes)
-
-    def _refit(self, fitted_terms: Sequence[FittedTerm], ranked_causes: list[RankedCause]) -> None:
-        refitted = self.space.refit(fitted_terms)
-        if refitted.convergence.converged:
-            self.ranked_causes, self.space = ranked_causes, refitted
-
-    def take_law(self, space: MotionFitSpace, term: Term) -> None:
-        """Continue with a fit that has a cause of the motion law at its common value."""
-        ranked_by_label = {term_label(c.term): ranked for c, ranked in self.fitted_causes()}
-        self.space = space
-        fitted = [
-            k for k, extension in enumerate(space.fitted_terms) if extension.free_indices.size
-        ]
-        terms = testable_terms(space.projector())
-        rivals = confusable_labels(term, terms) | {term_label(term)}
-        rivals_and_term = [other for other in terms if term_label(other) in rivals]
-        self.ranked_causes = [
-            ranked_by_label[term_label(space.fitted_terms[k].term)]
-            if term_label(space.fitted_terms[k].term) in ranked_by_label
-            else rank_against_alternatives(space, k, rivals_and_term, count_tests(terms))
-            for k in fitted
-        ]
-
-    def update_ranking(self, cause: FittedTerm, ranked: RankedCause) -> None:
-        """Replace the ranking of a cause."""
-        self.ranked_causes = [
-            ranked if extension is cause else previous
-            for extension, previous in self.fitted_causes()
-        ]
-
-    def finish(self) -> SearchResult[MotionFitSpace]:
-        """Return the search result, with scores of the other causes for the final fit."""
-        ranked_causes = tuple(self.ranked_causes)
-        if self.space is self.result.space:
-            return replace(self.result, ranked_causes=ranked_causes)
-        projector = self.space.projector()
-        scores, _ = scan_other_causes(self.space, projector)
-        return SearchResult(self.space, ranked_causes, projector, tuple(scores))
-
-
 def explain_jointly(bases: Mapping[str, ConvergedFit]) -> dict[str, FitExplanation]:
     """Search for causes in several boards on one unit together.
 
@@ -145,7 +69,7 @@ def explain_jointly(bases: Mapping[str, ConvergedFit]) -> dict[str, FitExplanati
         base = MotionFitSpace(solution)
         result = search_causes(base)
         ranked_causes = list(result.ranked_causes)
-        boards.append(_BoardSearch(name, base, result, result.space, ranked_causes, {}))
+        boards.append(BoardSearch(name, base, result, result.space, ranked_causes, {}))
     if len(boards) > 1 and _share_one_motion(list(bases.values())):
         _resolve_law_causes(boards)
         for matched in _match_causes(boards):
@@ -167,7 +91,7 @@ def _share_one_motion(bases: Sequence[ConvergedFit]) -> bool:
     return many <= MAX_MOTION_UNKNOWNS and all(size == sizes[0] for size in sizes)
 
 
-def _resolve_law_causes(boards: Sequence[_BoardSearch]) -> None:
+def _resolve_law_causes(boards: Sequence[BoardSearch]) -> None:
     """Fit each cause of the motion law that a board shows to all boards at one common value."""
     causes = {
         term_label(cause.term): cause
@@ -190,7 +114,7 @@ def _resolve_law_causes(boards: Sequence[_BoardSearch]) -> None:
             board.attributions[label] = attribution
 
 
-def _match_causes(boards: Sequence[_BoardSearch]) -> list[CauseByBoard]:
+def _match_causes(boards: Sequence[BoardSearch]) -> list[CauseByBoard]:
     """Return causes of different boards that may be the same cause, the most significant first.
 
     Of each board at most one cause takes part: the same, or one that was taken for it.
@@ -245,7 +169,7 @@ def _candidate_terms(matched: CauseByBoard) -> dict[str, Term]:
     return {name: term for name, term in term_by_label.items() if name in plausible}
 
 
-def _resolve_cause(boards: Sequence[_BoardSearch], matched: CauseByBoard) -> None:
+def _resolve_cause(boards: Sequence[BoardSearch], matched: CauseByBoard) -> None:
     """Choose between candidates and between one common size and separate sizes; refit."""
     projectors = [
         board.projector_without(matched[k][0] if k in matched else None)
@@ -280,7 +204,7 @@ def _resolve_cause(boards: Sequence[_BoardSearch], matched: CauseByBoard) -> Non
 
 
 def _fit_common_size(
-    boards: Sequence[_BoardSearch],
+    boards: Sequence[BoardSearch],
     projectors: Sequence[NuisanceProjector],
     matched: CauseByBoard,
     hypotheses: list[ScopeHypothesis],
@@ -315,7 +239,7 @@ def _fit_common_size(
 
 
 def _fit_separate_sizes(
-    boards: Sequence[_BoardSearch], matched: CauseByBoard, hypotheses: list[ScopeHypothesis]
+    boards: Sequence[BoardSearch], matched: CauseByBoard, hypotheses: list[ScopeHypothesis]
 ) -> None:
     """Fit each board's own size of a cause."""
     for k, board in enumerate(boards):
@@ -365,7 +289,7 @@ def _rank_hypotheses(
     )
 
 
-def _find_joint_only_causes(boards: Sequence[_BoardSearch]) -> None:
+def _find_joint_only_causes(boards: Sequence[BoardSearch]) -> None:
     """Name causes of the unit that only all boards together show."""
     for _ in range(MAX_JOINT_ONLY_CAUSES):
         projectors = [board.projector_without(None) for board in boards]
@@ -406,7 +330,7 @@ def _find_joint_only_causes(boards: Sequence[_BoardSearch]) -> None:
         _fit_common_size(boards, projectors, {}, hypotheses)
 
 
-def _attribute_remaining(boards: Sequence[_BoardSearch]) -> None:
+def _attribute_remaining(boards: Sequence[BoardSearch]) -> None:
     """Attribute the remaining causes to their boards, and count the boards that have them."""
     names = [
         [term_label(extension.term) for extension, _ in board.fitted_causes()] for board in boards

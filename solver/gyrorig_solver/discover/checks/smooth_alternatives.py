@@ -23,8 +23,8 @@ from gyrorig_solver.estimate import (
     SignalFunction,
     WhitenedSignals,
 )
-from gyrorig_solver.model import AxisBiases, Signals, SignalState, Term, zero_signals
-from gyrorig_solver.model.signal_arrays import on_all_axes, split_axes, weighted_sum
+from gyrorig_solver.model import AxisBiases, Signals, SignalState, Term, split_axes, zero_signals
+from gyrorig_solver.model.signal_arrays import on_all_axes, weighted_sum
 
 Covariate = Callable[[SignalState], FloatArray]  # to (n,)
 
