@@ -216,6 +216,10 @@ class Term(ABC):
         """Return why this recording cannot show the cause, with the remedy; None if it can."""
         return None
 
+    def time_offset_ambiguity_s(self, values: FloatArray) -> float:
+        """Return how far the time offset of a later recording may be from the fitted one."""
+        return 0.0
+
     def is_known_at(self, site: Site) -> bool:
         """Return whether the size of a cause of the kind `known` follows from the site."""
         return False

@@ -4,7 +4,7 @@ What to use when: `assess_uncertainty` at any fit to a pan-tilt unit.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -20,7 +20,7 @@ from gyrorig_solver.estimate import (
     join_signals,
 )
 from gyrorig_solver.estimate.corrected_fit import FitCorrection
-from gyrorig_solver.model import Term
+from gyrorig_solver.model import Term, recording_index_of
 from gyrorig_solver.uncertainty.fit_linearisation import FitLinearisation, linearise_fit
 from gyrorig_solver.uncertainty.marginal_covariance import MarginalCauses
 from gyrorig_solver.uncertainty.mixture_interval import (
@@ -103,14 +103,26 @@ def assess_uncertainty(
     """
     settings = default_settings() if settings is None else settings
     projector = NuisanceProjector.at_fit(solution) if projector is None else projector
-    calibration = CalibrationValues.of(solution)
     causes = unidentified_causes(projector, solution.fitted_terms, settings)
+    budget = _assess_causes(solution, causes, settings, projector, unit_prior)
+    return _with_offset_ambiguity(budget, solution)
+
+
+def _assess_causes(
+    solution: ConvergedFit,
+    causes: Sequence[UnidentifiedCause],
+    settings: UncertaintySettings,
+    projector: NuisanceProjector,
+    unit_prior: UnitPosterior | None,
+) -> UncertaintyBudget:
+    """Return what the causes that a fit has not identified add."""
     size = len(CALIBRATION_PARAMETERS)
     if not causes:
         return UncertaintyBudget(np.zeros((size, size)), np.zeros(size), (), settings)
     statistics = _joint_statistics(projector, causes)
     fits = linearise_fit(solution, settings, causes, statistics)
     information = unit_information(fits[-1], len(unit_value_names()))
+    calibration = CalibrationValues.of(solution)
     if unit_prior is not None:
         marginals = [UnitMarginals.of(fit, unit_prior) for fit in fits]
         mixture = _corrected_mixture(calibration, marginals[-1], fits[-1], unit_prior, causes)
@@ -130,6 +142,25 @@ def assess_uncertainty(
         unit_information=information,
         mixture=_mixture(fits[-1], influence, causes),
     )
+
+
+def _with_offset_ambiguity(budget: UncertaintyBudget, solution: ConvergedFit) -> UncertaintyBudget:
+    """Add what the identified causes leave open of the time offset of a later recording."""
+    covariance, entries = budget.covariance.copy(), list(budget.entries)
+    index = CALIBRATION_PARAMETERS.index("time_offset")
+    for fitted_term in solution.fitted_terms:
+        ambiguity_s = fitted_term.term.time_offset_ambiguity_s(fitted_term.values)
+        is_in_last = recording_index_of(fitted_term.term) in (None, len(solution.sessions) - 1)
+        if ambiguity_s > 0.0 and is_in_last:
+            std = np.zeros(len(CALIBRATION_PARAMETERS))
+            std[index] = ambiguity_s
+            covariance[index, index] += ambiguity_s**2
+            entries.append(BudgetEntry(fitted_term.term, None, std))
+    mixture = budget.mixture
+    if mixture is not None:
+        added = np.diag(covariance) - np.diag(budget.covariance)
+        mixture = replace(mixture, variance=mixture.variance + added)
+    return replace(budget, covariance=covariance, entries=tuple(entries), mixture=mixture)
 
 
 def _mixture(

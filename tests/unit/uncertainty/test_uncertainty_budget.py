@@ -16,8 +16,13 @@ from gyrorig_protocol.recording.recording import Recording
 from gyrorig_solver.data import FloatArray
 from gyrorig_solver.discover import CALIBRATION_PARAMETERS
 from gyrorig_solver.discover.calibration_changes import CalibrationValues
-from gyrorig_solver.estimate import ConvergedFit, NuisanceProjector
-from gyrorig_solver.model import factorise
+from gyrorig_solver.estimate import (
+    ConvergedFit,
+    FittedTerm,
+    NuisanceProjector,
+    refit_with_terms,
+)
+from gyrorig_solver.model import factorise, find_term
 from gyrorig_solver.pipeline.board_data import load_board
 from gyrorig_solver.pipeline.prepare_board import fit_base
 from gyrorig_solver.uncertainty import (
@@ -241,6 +246,21 @@ def test_a_rare_cause_that_no_motion_shows_hardly_widens_the_interval(leaning: S
     made = assess_uncertainty(leaning.fit, with_probability("tilt_zero", 0.02))
     expanded = made.expanded_uncertainty(NOISE, 0.95)[x]
     assert expanded < 0.5 * 1.96 * np.hypot(made.std[x], NOISE[x])
+
+
+def test_a_clock_step_leaves_the_time_offset_open_by_its_size(leaning: Session) -> None:
+    """A later recording can be like the part before the step or like the part after it."""
+    step = FittedTerm(find_term("clock_step"), np.array([-8.8e-3, 60.0]), np.zeros(0, np.int64))
+    stepped = refit_with_terms(leaning.fit, [step])
+    settings = only(**KNOWN_CAUSES)
+    made = assess_uncertainty(stepped, settings)
+    index = CALIBRATION_PARAMETERS.index("time_offset")
+    assert made.std[index] == pytest.approx(8.8e-3, rel=1e-3)
+    assert made.expanded_uncertainty(NOISE, 0.95)[index] > 8.8e-3
+    largest = max(made.entries, key=lambda entry: entry.std[index])
+    assert (largest.term.cause, largest.std[index]) == ("clock_step", pytest.approx(8.8e-3))
+    others = np.arange(len(CALIBRATION_PARAMETERS)) != index
+    assert np.all(largest.std[others] == 0.0)
 
 
 def test_the_other_sizes_of_a_fitted_cause_are_certain(

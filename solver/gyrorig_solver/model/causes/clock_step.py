@@ -48,6 +48,10 @@ class ClockStep(TimeTerm):
         """Return -1 after the event."""
         return {0: -instants_after(state, float(values[1]))}
 
+    def time_offset_ambiguity_s(self, values: FloatArray) -> float:
+        """Return the size of the step: a later recording can be like either part of this one."""
+        return abs(float(values[0]))
+
     def template_bank(self, state: SignalState) -> FloatArray:
         """Scan times over the whole recording, for small and for large steps."""
         return scan_grid(
