@@ -29,6 +29,7 @@ VARYING_PARTS = (
     (re.compile(r"\d{8}T\d{6}Z-\d+-[0-9a-f]{6}-\d{4}"), "<journal>"),
     (re.compile(r"claims/[0-9a-f]{2}/[0-9a-f]{64}"), "claims/<digest>"),
     (re.compile(r"sha256([: ])[0-9a-f]{64}"), r"sha256\1<digest>"),
+    (re.compile(r"SHA-256 is [0-9a-f]{64}"), "SHA-256 is <digest>"),
 )
 
 # Keys whose values are sentences, or lists of sentences: kept, compared with --texts only.
