@@ -1,9 +1,10 @@
-"""A pan-tilt unit on a serial line: a program becomes orders, moves and answered counts.
+"""A pan-tilt unit on a serial line: commands of a program, moves and position replies.
 
-One command at a time, PP and TP in turn while nothing else is to be said, or BT, which has
-the controller's counter in its answer; the maker wants 10 ms between two commands of an
-E-series unit, a byte is 10 bits, a question 3 bytes and an answer 9, or 44. The controller thinks
-for some milliseconds; when in that time it looks at its count, or sets an axis off, nobody is told.
+The host sends one command at a time. Between commands, it asks PP and TP in turn, or BT, whose
+reply contains the controller's counter. Commands to an E-series unit are at least 10 ms apart, as
+in its manual. A byte has 10 bits; a query has 3 bytes, and a reply has 9 or 44. The controller
+replies after some milliseconds. The instants at which it reads its position or starts an axis are
+not recorded.
 """
 
 from dataclasses import dataclass, field
