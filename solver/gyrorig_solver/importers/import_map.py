@@ -70,10 +70,15 @@ class TemperatureColumn(_MapPart, frozen=True):
 
 
 class AttitudeColumns(_MapPart, frozen=True):
-    """A reference attitude, body to world; rows that are not finite are gaps."""
+    """A reference attitude; rows that are not finite are gaps.
+
+    With `stamp: arrival` under `time` the attitudes are late by a delay that changes; the
+    solver then finds the times of the frames. There `rate_hz` is not needed.
+    """
 
     keys: ColumnKeys
     order: Literal["wxyz", "xyzw"]
+    maps: Literal["body_to_world", "world_to_body"] = "body_to_world"
     std_deg: Positive | None = None  # per axis, if the source specifies it
     time: TimeBase | None = None
 
@@ -164,7 +169,7 @@ def check_import_map(import_map: ImportMap, name: str) -> ImportMap:
         ("attitude: time", import_map.attitude),
     ):
         if part is not None and part.time is not None:
-            _check_time(part.time, f"{name}: {where}")
+            _check_time(part.time, f"{name}: {where}", where == "attitude: time")
     if import_map.gyro.unit == "counts" and import_map.gyro.scale_rad_s is None:
         raise UsageError(
             f"the import map {name} gives the gyro in counts, but not its scale factor "
@@ -208,8 +213,10 @@ def check_import_map(import_map: ImportMap, name: str) -> ImportMap:
     return import_map
 
 
-def _check_time(time: TimeBase, name: str) -> None:
+def _check_time(time: TimeBase, name: str, is_attitude: bool) -> None:
     if time.stamp == "arrival":
+        if is_attitude and time.key is not None:
+            return
         if time.key is None or time.rate_hz is None:
             raise UsageError(
                 f"{name}: `stamp: arrival` needs both the key `key` and the key `rate_hz`",

@@ -7,6 +7,7 @@ anything is written.
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.optimize import isotonic_regression
 
 from gyrorig_protocol.errors import InputError
 from gyrorig_protocol.recording.messages import ImuStatus
@@ -60,6 +61,7 @@ class AttitudeStream:
     orientation_xyzw: FloatArray  # (n, 4)
     standard_deviation_rad: float  # nan if the source does not specify it
     lost: int
+    metadata: dict[str, str]  # of `gyrorig.reference`; empty if the source says nothing
 
 
 def wanted_keys(mapping: ImportMap) -> list[str]:
@@ -118,6 +120,9 @@ def read_streams(
         status |= np.where(valid, int(ImuStatus.TEMPERATURE_VALID), 0)
         metadata["temperature_scale_c"] = repr(TEMPERATURE_COUNT_C)
         metadata["temperature_offset_c"] = repr(TEMPERATURE_OFFSET_C)
+    attitude = None
+    if mapping.attitude:
+        attitude = _attitude_stream(columns, mapping.attitude, time_s, notes)
     device_time, clock = device_ticks(mapping.time, time_s, row)
     imu = ImuStream(
         host_time_ns=nanoseconds(time_s[row]),
@@ -131,7 +136,7 @@ def read_streams(
         metadata=metadata | clock | output_rate_metadata(columns, mapping.time),
         notes=tuple(notes),
     )
-    return imu, _attitude_stream(columns, mapping.attitude, time_s) if mapping.attitude else None
+    return imu, attitude
 
 
 def _gyro_scale(columns: GyroColumns) -> float:
@@ -185,11 +190,13 @@ def _temperature_counts(
 
 
 def _attitude_stream(
-    columns: MeasurementColumns, part: AttitudeColumns, time_s: FloatArray
+    columns: MeasurementColumns, part: AttitudeColumns, time_s: FloatArray, notes: list[str]
 ) -> AttitudeStream:
     values = columns.matrix(part.keys, 4)
     if part.order == "wxyz":
         values = values[:, [1, 2, 3, 0]]
+    if part.maps == "world_to_body":
+        values = values * [-1.0, -1.0, -1.0, 1.0]
     if part.time is not None:
         base_s = read_times(columns, part.time, len(values), "attitude")
     elif len(values) == time_s.size:
@@ -216,12 +223,28 @@ def _attitude_stream(
             "give the four columns of the quaternion as `keys` under `attitude` in the import map",
         )
     std_rad = float(np.radians(part.std_deg)) if part.std_deg else float("nan")
+    ordered_s = np.asarray(isotonic_regression(base_s[is_finite]).x, dtype=np.float64)
+    back = int(np.sum(np.diff(base_s[is_finite]) < 0.0))
+    if back:
+        notes.append(
+            f"attitude: {back} times go back to before the row above them; they are replaced by "
+            "the mean of the times that are not in order, so that the rows stay in order"
+        )
     return AttitudeStream(
-        nanoseconds(base_s[is_finite]),
+        nanoseconds(ordered_s if back else base_s[is_finite]),
         values[is_finite] / length[:, None],
         std_rad,
         int((~is_finite).sum()),
+        _reference_metadata(part),
     )
+
+
+def _reference_metadata(part: AttitudeColumns) -> dict[str, str]:
+    """Return what the map says about the stamps of the attitudes."""
+    if part.time is None or part.time.stamp != "arrival":
+        return {}
+    rate = {} if part.time.rate_hz is None else {"rate_hz": repr(part.time.rate_hz)}
+    return {"stamp": "arrival", **rate}
 
 
 def _whole_counts(values: FloatArray, quantity: str) -> IntArray:

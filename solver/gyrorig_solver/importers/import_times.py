@@ -8,6 +8,7 @@ from gyrorig_solver.importers.import_map import TimeBase
 from gyrorig_solver.importers.measurement_columns import MeasurementColumns
 
 UNIT_S = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+MAX_DISORDER_S = 0.1  # of the stamps of attitudes, far above the jitter of a link
 MAX_TIME_S = 2**31 - 1  # builtin_interfaces/Time counts seconds in an int32
 
 
@@ -16,7 +17,8 @@ def read_times(columns: MeasurementColumns, base: TimeBase, rows: int, stream: s
 
     Raises:
         InputError: their number differs from `rows`, they do not increase, or they are out
-            of the range of a recording. Arrival times can repeat.
+            of the range of a recording. Arrival times can repeat. The stamps of attitudes can
+            also go back by up to `MAX_DISORDER_S`, which is jitter.
     """
     if base.key is not None:
         time_s = columns.matrix([base.key], 1)[:, 0] * UNIT_S[base.unit]
@@ -38,7 +40,10 @@ def read_times(columns: MeasurementColumns, base: TimeBase, rows: int, stream: s
             "so that no time is below 0",
         )
     step = np.diff(time_s)
-    not_increasing = step < 0.0 if base.stamp == "arrival" else step <= 0.0
+    if stream == "attitude":
+        not_increasing = (np.maximum.accumulate(time_s) - time_s)[1:] > MAX_DISORDER_S
+    else:
+        not_increasing = step < 0.0 if base.stamp == "arrival" else step <= 0.0
     if not_increasing.any():
         at = int(np.argmax(not_increasing)) + 1
         raise InputError(

@@ -213,6 +213,8 @@ def import_measurements(
         "gyrorig": imported_session_metadata(out),
         f"gyrorig.board.{name}": imu.metadata,
     }
+    if attitude is not None and attitude.metadata:
+        metadata["gyrorig.reference"] = attitude.metadata
     if mapping.gravity_m_s2 is not None:
         metadata["gyrorig.site"] = {"gravity_m_s2": repr(mapping.gravity_m_s2)}
     map_text = dump_yaml(msgspec.to_builtins(mapping))
