@@ -16,7 +16,7 @@ from gyrorig_solver.findings.findings_document import GainEntry, parse_findings
 from gyrorig_solver.findings.findings_wording import size_text, verdict_words
 from gyrorig_solver.model import start_values
 from gyrorig_solver.pipeline.board_data import load_board
-from gyrorig_solver.pipeline.explain_board import load_attitude_recordings
+from gyrorig_solver.pipeline.references.attitudes import load_attitude_recordings
 
 TRIALS = ("02", "05", "07", "24", "03", "33")
 MOST = 3  # sizes of one cause that are written out

@@ -41,8 +41,9 @@ from gyrorig_solver.data.samples import GyroSamples, load_samples
 from gyrorig_solver.estimate import FittedTerm, GyroFit
 from gyrorig_solver.model import FACTOR_NAMES, factorise
 from gyrorig_solver.pipeline import solve_recordings
+from gyrorig_solver.pipeline.board_results import BoardExplanation
 from gyrorig_solver.pipeline.criticised_fit import JointFit, solve_jointly
-from gyrorig_solver.pipeline.explain_board import BoardExplanation, explain_unit_boards
+from gyrorig_solver.pipeline.explain_board import explain_unit_boards
 from gyrorig_solver.pipeline.joint_data import load_jointly
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -1,9 +1,6 @@
 """Health of a recording: its content, its defects, and the observable parameters.
 
 What to use when: `examine_recording` for all of it; `health_messages` converts it to text.
-`predict_observability` needs no fit: the Fisher information of the samples about gain, bias and
-time offset follows from the reference motion and the noise of the sensor, and does not depend
-on the counts. Its rank test is that of the estimator.
 """
 
 from collections import Counter
@@ -11,28 +8,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gyrorig_protocol.errors import GyrorigError, InputError
+from gyrorig_protocol.errors import GyrorigError
 from gyrorig_protocol.identity import BoardId
 from gyrorig_protocol.recording.mcap.losses import Loss
 from gyrorig_protocol.recording.messages import EventKind, PtuStatus, imu_raw_topic
 from gyrorig_protocol.recording.recording import Recording, times_ns
-from gyrorig_solver.data import FloatArray
 from gyrorig_solver.data.samples import GyroSamples, load_samples
-from gyrorig_solver.estimate import (
-    PARAMETER_NAMES,
-    UNIT_REMEDIES,
-    ObservabilityReport,
-    analyse_observability,
-    derive_parameters,
-    expected_estimate,
-    white_noise_information,
-)
-from gyrorig_solver.pipeline import solve_recordings
-from gyrorig_solver.reference import UNUSABLE_STATUS, ReferenceMotion, read_pan_tilt_reference
-
-_GRID_HZ = 50.0  # motions of a unit change within tenths of a second
-_MAX_GRID_POINTS = 200_000
-_MIN_GRID_POINTS = 16
+from gyrorig_solver.estimate import ObservabilityReport
+from gyrorig_solver.pipeline.board_data import BoardData
+from gyrorig_solver.reference import UNUSABLE_STATUS
 
 
 @dataclass(frozen=True, slots=True)
@@ -184,10 +168,8 @@ def _observability(
 ) -> tuple[ObservabilityReport | None, str]:
     """Return the observability; or None, and why this recording alone calibrates nothing."""
     try:
-        if recording.ptu_positions().size:
-            reference = read_pan_tilt_reference(recording, samples.origin_ns)
-            return predict_observability(samples, reference, UNIT_REMEDIES), ""
-        return solve_recordings([recording], samples.board).observability, ""
+        data = BoardData(samples.board, (recording,), (samples,))
+        return data.kind.determine_observability(data), ""
     except GyrorigError as fault:
         return None, _error_with_remedy(fault)
 
@@ -195,50 +177,3 @@ def _observability(
 def _error_with_remedy(fault: GyrorigError) -> str:
     """Return the text of an error, always with a remedy."""
     return str(fault) if fault.remedy else f"{fault}. Record again."
-
-
-def predict_observability(
-    samples: GyroSamples, reference: ReferenceMotion, reasons: dict[str, str]
-) -> ObservabilityReport:
-    """Return the observability of a fit of these samples against this motion.
-
-    Args:
-        samples: of one board.
-        reference: the stage's motion, on the samples' time axis.
-        reasons: for each gain column, `bias` and `time_offset`, why it can be unobservable.
-
-    Raises:
-        InputError: the motion is not known during the samples.
-    """
-    rate, step_s = _stage_rate(samples, reference)
-    density = np.array([_noise_density(samples, axis) for axis in range(3)])
-    information = white_noise_information(rate, step_s, density)
-    analysis = analyse_observability(information, PARAMETER_NAMES)
-    return derive_parameters(
-        expected_estimate(analysis), PARAMETER_NAMES, analysis, reasons
-    ).observability
-
-
-def _stage_rate(samples: GyroSamples, reference: ReferenceMotion) -> tuple[FloatArray, float]:
-    """Return the known mean stage rates on a uniform grid, shape (n, 3), and its step."""
-    start, end = float(samples.time_s.min()), float(samples.time_s.max())
-    count = int(np.clip((end - start) * _GRID_HZ, 16, _MAX_GRID_POINTS))
-    edges = np.linspace(start, end, count + 1)
-    rate = reference.evaluate(edges).rate_rad_s
-    known = np.isfinite(rate).all(axis=1)
-    if known.sum() < _MIN_GRID_POINTS:
-        raise InputError(
-            "the recording does not contain the motion of the pan-tilt unit for the time in which "
-            f"board {samples.board} sent samples",
-            "read the faults of the recording with `gyrorig check`, correct them, and record again",
-        )
-    return rate[known], float(edges[1] - edges[0])
-
-
-def _noise_density(samples: GyroSamples, axis: int) -> float:
-    """Return the one-sided white noise density, (rad/s)^2/Hz, from first differences."""
-    change = np.diff(samples.rate_rad_s[:, axis])
-    middle = float(np.median(np.abs(change - np.median(change))))
-    std = middle / 0.6745 / np.sqrt(2.0)  # from the median absolute deviation
-    std = max(std, samples.quantum_rad_s / np.sqrt(12.0))
-    return float(2.0 * std**2 * samples.period_s)

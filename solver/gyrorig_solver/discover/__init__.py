@@ -16,6 +16,7 @@ from gyrorig_solver.discover.cause_findings import (
 )
 from gyrorig_solver.discover.fit_criticism import FitCriticism, criticise_fit
 from gyrorig_solver.discover.fit_explanation import explain_fit
+from gyrorig_solver.discover.motion_space import MotionFitSpace
 
 __all__ = [
     "CALIBRATION_PARAMETERS",
@@ -23,6 +24,7 @@ __all__ = [
     "FitCriticism",
     "FitExplanation",
     "HeldOutGain",
+    "MotionFitSpace",
     "NamedCause",
     "criticise_fit",
     "explain_fit",

@@ -1,13 +1,15 @@
 """The pipeline from recordings to documents: load, prepare, fit, search for causes, store.
 
 The command line and the batch both call these modules. `board_data.load_board` reads a board
-once; every later step takes its `BoardData`.
+once; every later step takes its `BoardData`. What depends on the kind of the reference is in
+`references`, one file per kind.
 
 What to use when: `solve_board.solve_and_store` for a calibration in a store,
 `explain_board.explain_boards` for findings, `fit_board.solve_recordings` for a fit alone.
 """
 
-from gyrorig_solver.pipeline.criticised_fit import AUTO, CriticisedFit, fit_together
+from gyrorig_solver.pipeline.board_results import CriticisedFit
+from gyrorig_solver.pipeline.criticised_fit import AUTO, fit_together
 from gyrorig_solver.pipeline.explain_board import WrittenFindings, explain_boards, write_explanation
 from gyrorig_solver.pipeline.fit_board import solve_recordings
 from gyrorig_solver.pipeline.solve_board import StoredResult, solve_and_store

@@ -10,7 +10,7 @@ from gyrorig_solver.calibration import UnitPriorRecord
 from gyrorig_solver.estimate import GyroFit
 from gyrorig_solver.estimate.corrected_fit import correct_fit
 from gyrorig_solver.pipeline.board_data import BoardData
-from gyrorig_solver.pipeline.criticised_fit import CriticisedFit
+from gyrorig_solver.pipeline.board_results import CriticisedFit
 from gyrorig_solver.pipeline.unit_prior import CONFLICT_REMARK, UnitKnowledge, contradicts
 from gyrorig_solver.uncertainty import UncertaintyBudget, UncertaintySettings, assess_uncertainty
 

@@ -1,24 +1,28 @@
-"""One board's recordings and samples, loaded once for every step of the pipeline."""
+"""One board's recordings and samples, loaded once for every step of the pipeline.
 
+What to use when: `load_board` from recordings; `reference_kinds` for the kinds of references,
+which are the modules of `pipeline.references` that have a `KIND`.
+"""
+
+import importlib
+import pkgutil
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
+from typing import TYPE_CHECKING
 
-from gyrorig_protocol.errors import UsageError
+from gyrorig_protocol.errors import InputError, UsageError
 from gyrorig_protocol.recording.recording import Recording
 from gyrorig_solver.data.samples import GyroSamples, load_samples
 from gyrorig_solver.data.stream.exact_repeats import without_repeats
 from gyrorig_solver.data.stream.stuck_axes import without_clipping
-from gyrorig_solver.reference import (
-    ReferenceMotion,
-    RestReference,
-    TurnReference,
-    mostly_at_rest,
-    read_pan_tilt_reference,
-    read_turns,
-)
+from gyrorig_solver.pipeline import references
+from gyrorig_solver.reference import ReferenceMotion, TurnReference, read_turns
 
-UNIT_TOPIC, ATTITUDE_TOPIC = "/ptu/position", "/reference/attitude"
+if TYPE_CHECKING:  # a kind uses the data of a board
+    from gyrorig_solver.pipeline.reference_kind import ReferenceKind
+
+UNIT_TOPIC = "/ptu/position"
 Session = tuple[Recording, GyroSamples, ReferenceMotion]
 
 
@@ -30,15 +34,19 @@ class BoardData:
     recordings: tuple[Recording, ...]
     samples: tuple[GyroSamples, ...]  # as recorded
 
-    @property
-    def has_unit(self) -> bool:
-        """Whether a recording has the motion of a pan-tilt unit."""
-        return has_unit(self.recordings)
+    @cached_property
+    def kind(self) -> "ReferenceKind":
+        """The kind of reference that the recordings are solved with.
+
+        Raises:
+            InputError: there is no reference of any kind.
+        """
+        return find_reference(self)
 
     @property
-    def has_attitudes(self) -> bool:
-        """Whether a recording has reference attitudes."""
-        return any(ATTITUDE_TOPIC in recording.topics for recording in self.recordings)
+    def missing(self) -> tuple[str, ...]:
+        """What the recordings report as missing, one text for each loss."""
+        return tuple(f"{r.path.name}: {loss.text}" for r in self.recordings for loss in r.losses)
 
     @cached_property
     def known_turns(self) -> tuple[TurnReference, ...]:
@@ -48,21 +56,6 @@ class BoardData:
             for recording, samples in zip(self.recordings, self.samples, strict=True)
         )
 
-    @property
-    def rests_throughout(self) -> bool:
-        """Whether the board was at rest in all of its recordings, without another reference."""
-        if self.has_unit or self.has_attitudes:
-            return False
-        return all(
-            _is_at_rest(turns, samples)
-            for turns, samples in zip(self.known_turns, self.samples, strict=True)
-        )
-
-    @property
-    def can_be_searched(self) -> bool:
-        """Whether causes can be searched: the reference gives a rate at each moment."""
-        return self.has_unit or self.has_attitudes or self.rests_throughout
-
     @cached_property
     def sessions(self) -> tuple[Session, ...]:
         """Each recording with its samples and its reference motion.
@@ -70,7 +63,7 @@ class BoardData:
         Exact repeats and clipped samples are marked as not usable.
 
         Raises:
-            UsageError: a recording has neither a unit nor rest throughout, the board's settings
+            UsageError: a reference does not give the rate at each moment, the board's settings
                 differ between recordings, or a recording is given twice.
         """
         usable = tuple(without_clipping(without_repeats(samples)) for samples in self.samples)
@@ -98,25 +91,20 @@ def has_unit(recordings: Sequence[Recording]) -> bool:
 
 
 def reference_motion(recording: Recording, samples: GyroSamples) -> ReferenceMotion:
-    """Read the reference of a recording that is fitted together with those of a unit.
+    """Read the motion of a recording whose reference gives the rate at each moment.
 
     Raises:
-        UsageError: the recording has neither a unit nor rest throughout.
+        UsageError: the recording has no such reference.
     """
-    if UNIT_TOPIC in recording.topics:
-        return read_pan_tilt_reference(recording, samples.origin_ns)
-    turns = read_turns(recording.events(), samples.origin_ns)
-    if not _is_at_rest(turns, samples):
+    motions = (kind.read_motion(recording, samples) for kind in reference_kinds())
+    motion = next((motion for motion in motions if motion is not None), None)
+    if motion is None:
         raise UsageError(
             f"the recording {recording.path.name} has no pan-tilt unit, and its board moves, so "
-            "the solver cannot use it together with recordings that have a unit",
-            f"run `gyrorig solve` separately for {recording.path.name}",
+            "its data do not give the rate of the board at each moment",
+            f"leave out {recording.path.name}, or use it separately",
         )
-    return RestReference(turns.rests)
-
-
-def _is_at_rest(turns: TurnReference, samples: GyroSamples) -> bool:
-    return mostly_at_rest(turns.rests, float(samples.time_s[-1] - samples.time_s[0]))
+    return motion
 
 
 def check_given_once(recordings: Sequence[Recording]) -> None:
@@ -153,3 +141,31 @@ def _check_same_settings(recordings: Sequence[Recording], samples: Sequence[Gyro
                     f"{other_value or 'not given'} in {recording.path.name}",
                     "solve these two recordings separately",
                 )
+
+
+@cache
+def reference_kinds() -> "tuple[ReferenceKind, ...]":
+    """Return every kind of reference, the preferred one first."""
+    modules = [
+        importlib.import_module(f"{references.__name__}.{module.name}")
+        for module in pkgutil.iter_modules(references.__path__)
+    ]
+    kinds: list[ReferenceKind] = [module.KIND for module in modules]
+    return tuple(sorted(kinds, key=lambda kind: kind.preference))
+
+
+def find_reference(data: BoardData) -> "ReferenceKind":
+    """Return the preferred kind among those that a board's recordings have.
+
+    Raises:
+        InputError: the recordings have no reference of any kind.
+    """
+    for kind in reference_kinds():
+        if kind.is_given(data):
+            return kind
+    *others, last = [kind.title for kind in reference_kinds()]
+    names = ", ".join(recording.path.name for recording in data.recordings)
+    raise InputError(
+        f"the recording {names[:120]} has no reference to compare the rates with",
+        f"record {', '.join(others)} or {last} too",
+    )

@@ -16,9 +16,7 @@ from types import MappingProxyType
 from gyrorig_protocol.errors import GyrorigError
 from gyrorig_protocol.identity import BoardId
 from gyrorig_protocol.recording.recording import Recording
-from gyrorig_solver.discover import FitCriticism, criticise_fit
-from gyrorig_solver.discover.attitude.attitude_space import fit_attitude_space
-from gyrorig_solver.discover.motion_space import MotionFitSpace
+from gyrorig_solver.discover import MotionFitSpace, criticise_fit
 from gyrorig_solver.estimate import (
     ConvergedFit,
     FittedTerm,
@@ -28,13 +26,8 @@ from gyrorig_solver.estimate import (
 )
 from gyrorig_solver.model import term_label
 from gyrorig_solver.pipeline.board_data import UNIT_TOPIC, BoardData
-from gyrorig_solver.pipeline.explain_board import (
-    BoardExplanation,
-    explain_data,
-    explain_unit_boards,
-    load_attitude_recordings,
-)
-from gyrorig_solver.pipeline.fit_board import fit_board, missing_data
+from gyrorig_solver.pipeline.board_results import BoardExplanation, CriticisedFit
+from gyrorig_solver.pipeline.explain_board import explain_data, explain_unit_boards
 from gyrorig_solver.pipeline.joint_data import JointData, load_jointly
 from gyrorig_solver.pipeline.prepare_board import PreparedBoard, prepare_board
 
@@ -92,7 +85,8 @@ def solve_jointly(
             warnings = (f"this board was solved without the other boards: {joint.left_out[board]}",)
         try:
             fit = prepared[board].summarize(solution, warnings, sharing)
-            fit = replace(fit, warnings=(*missing_data(joint_data.recordings), *fit.warnings))
+            missing = joint_data.boards[board].missing
+            fit = replace(fit, warnings=(*missing, *fit.warnings))
             fits[board] = JointFit(fit, solution)
         except GyrorigError as fault:
             fits[board] = fault
@@ -118,23 +112,6 @@ def can_solve_jointly(recordings: Sequence[Recording], boards: Sequence[str]) ->
     return sum(recording.path.stat().st_size for recording in recordings) <= MAX_RECORDING_BYTES
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class CriticisedFit:
-    """One board's fit with the result of its search, or with that of significance tests."""
-
-    fit: GyroFit
-    solution: ConvergedFit | None  # None where the reference gives no rate at each moment
-    explanation: BoardExplanation | None = None  # where causes were searched for
-    criticism: FitCriticism | None = None  # where the model was requested
-
-    @property
-    def is_adequate(self) -> bool:
-        """Whether no test finds an effect that the fit leaves."""
-        if self.explanation is not None:
-            return self.explanation.findings.unexplained is None
-        return self.criticism is None or self.criticism.is_adequate
-
-
 def fit_criticised(data: BoardData, extend: Sequence[str]) -> CriticisedFit:
     """Fit one board and criticise the fit.
 
@@ -143,37 +120,12 @@ def fit_criticised(data: BoardData, extend: Sequence[str]) -> CriticisedFit:
         UsageError: the recordings cannot be solved together, or a cause is unknown.
     """
     requested = tuple(cause for cause in extend if cause != AUTO)
-    if AUTO in extend and data.can_be_searched:
-        return _fit_explained(data, requested, explain_data(data))
-    if data.has_unit or data.rests_throughout:
-        prepared = prepare_board(data, requested)
-        solution = prepared.solve()
-        fit = _with_missing_data(data, prepared.summarize(solution))
-        return CriticisedFit(fit, solution, criticism=criticise_fit(MotionFitSpace(solution)))
-    if data.has_attitudes and not requested:
-        space = fit_attitude_space(load_attitude_recordings(data))
-        fit = _with_missing_data(data, space.fit)
-        return CriticisedFit(fit, None, criticism=criticise_fit(space))
-    return CriticisedFit(fit_board(data, requested), None, criticism=FitCriticism())
-
-
-def _fit_explained(
-    data: BoardData, requested: Sequence[str], explanation: BoardExplanation
-) -> CriticisedFit:
-    """Return the fit with the named causes, and with requested ones."""
-    if explanation.fit_explanation is None:
-        fit = explanation.fit if explanation.fit and not requested else fit_board(data, requested)
-        return CriticisedFit(fit, None, explanation)
-    solution = explanation.fit_explanation.solution_extended
-    prepared = prepare_board(data, requested, explanation.findings.fitted_terms)
-    if requested:
-        solution = prepared.solve()
-    fit = _with_missing_data(data, prepared.summarize(solution))
-    return CriticisedFit(fit, solution, explanation)
-
-
-def _with_missing_data(data: BoardData, fit: GyroFit) -> GyroFit:
-    return replace(fit, warnings=(*missing_data(data.recordings), *fit.warnings))
+    if AUTO in extend and data.kind.can_be_searched:
+        criticised = data.kind.fit_explained(data, requested, explain_data(data))
+    else:
+        criticised = data.kind.fit_criticised(data, requested)
+    warnings = (*data.missing, *criticised.fit.warnings)
+    return replace(criticised, fit=replace(criticised.fit, warnings=warnings))
 
 
 def fit_together(

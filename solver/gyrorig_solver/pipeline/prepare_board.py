@@ -1,4 +1,4 @@
-"""Prepare a board on a pan-tilt unit, or at rest, for its fit.
+"""Prepare a board, whose rate the reference gives at each moment, for its fit.
 
 What to use when: `prepare_board` for a calibration, alone (`PreparedBoard.solve`) or together
 with other boards (`criticised_fit`); `fit_base` for the fit from which causes are searched;
@@ -8,7 +8,7 @@ with other boards (`criticised_fit`); `fit_base` for the fit from which causes a
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
-from gyrorig_protocol.errors import InputError, UsageError
+from gyrorig_protocol.errors import InputError
 from gyrorig_protocol.recording.recording import Recording
 from gyrorig_solver.data.samples import GyroSamples, load_samples
 from gyrorig_solver.data.stream.exact_repeats import without_repeats
@@ -16,8 +16,6 @@ from gyrorig_solver.data.stream.stuck_axes import without_clipping
 from gyrorig_solver.discover.held_out_recording import HeldOutRecording
 from gyrorig_solver.estimate import (
     NO_SHARING,
-    REST_REMEDIES,
-    UNIT_REMEDIES,
     BoardSharing,
     ConvergedFit,
     FittedTerm,
@@ -29,7 +27,6 @@ from gyrorig_solver.model.leveling import level_from_rests
 from gyrorig_solver.pipeline.board_data import (
     BoardData,
     Session,
-    has_unit,
     load_board,
     reference_motion,
 )
@@ -86,8 +83,7 @@ def prepare_board(
             warnings += [prefix + text for text in reference.warnings]
     selection = select_terms(data.sessions, extend, named_terms)
     contexts = selection.contexts or read_contexts(data.sessions)
-    remedies = UNIT_REMEDIES if data.has_unit else REST_REMEDIES
-    return PreparedBoard(data.sessions, selection, contexts, remedies, tuple(warnings))
+    return PreparedBoard(data.sessions, selection, contexts, data.kind.remedies, tuple(warnings))
 
 
 def fit_base_model(recordings: Sequence[Recording], board: str) -> ConvergedFit:
@@ -102,10 +98,9 @@ def fit_base(data: BoardData) -> ConvergedFit:
     is known, so that causes can be searched from this fit.
 
     Raises:
-        UsageError: the recordings cannot be fitted together, or the board moved without a unit.
+        UsageError: the recordings cannot be fitted together, or a reference does not give the rate
+            at each moment.
     """
-    if not data.rests_throughout:
-        _require_unit(data.recordings)
     return prepare_board(data).solve()
 
 
@@ -118,33 +113,23 @@ def prepare_held_out(
     """Prepare a recording for models of the same board that were fitted to others.
 
     Args:
-        recording: with a pan-tilt unit.
+        recording: with a pan-tilt unit, or at rest.
         board: in it.
         solution: one of the models; temperatures count from its mean.
         samples: used instead of the recording's own.
 
     Raises:
         InputError: the board is not in the recording, or has too few samples.
-        UsageError: the recording has no pan-tilt unit.
+        UsageError: the reference does not give the rate at each moment.
     """
     context = solution.sessions[0].context
     temperature = None if context is None else context.temperature
     mean_degc = None if temperature is None else temperature.mean_degc
-    _require_unit([recording])
     loaded = load_samples(recording, board) if samples is None else samples
     usable = without_clipping(without_repeats(loaded))
     motion = reference_motion(recording, usable)
     (own_context,) = read_contexts([(recording, usable, motion)], mean_degc)
     return HeldOutRecording(create_session(usable, motion, own_context), recording.path.name)
-
-
-def _require_unit(recordings: Sequence[Recording]) -> None:
-    if not has_unit(recordings):
-        raise UsageError(
-            "the search for causes needs the motion of a pan-tilt unit, which these recordings do "
-            f"not contain: {', '.join(r.path.name for r in recordings)[:120]}",
-            "record the board on a pan-tilt unit",
-        )
 
 
 def stage_level(samples: GyroSamples, reference: ReferenceMotion) -> LevelEstimate | None:

@@ -34,13 +34,10 @@ from gyrorig_solver.findings import to_yaml as findings_yaml
 from gyrorig_solver.model.catalogue import catalogue
 from gyrorig_solver.pipeline.assessed_fit import AssessedFit, add_to_unit, assess_fit
 from gyrorig_solver.pipeline.board_data import BoardData, load_board
-from gyrorig_solver.pipeline.criticised_fit import AUTO, CriticisedFit, fit_criticised
+from gyrorig_solver.pipeline.board_results import BoardExplanation, CriticisedFit
+from gyrorig_solver.pipeline.criticised_fit import AUTO, fit_criticised
 from gyrorig_solver.pipeline.criticism_verdict import add_criticism, add_findings
-from gyrorig_solver.pipeline.explain_board import (
-    BoardExplanation,
-    build_document,
-    findings_page,
-)
+from gyrorig_solver.pipeline.explain_board import build_document, findings_page
 from gyrorig_solver.pipeline.unit_prior import UnitKnowledge
 from gyrorig_solver.report import ReportData, render_calibration
 from gyrorig_solver.uncertainty import UncertaintySettings, default_settings

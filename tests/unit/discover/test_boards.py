@@ -13,7 +13,7 @@ import pytest
 
 from gyrorig_protocol.errors import InputError
 from gyrorig_protocol.identity import BoardId
-from gyrorig_solver.discover import FitExplanation, explain_jointly
+from gyrorig_solver.discover import FitExplanation, MotionFitSpace, explain_jointly
 from gyrorig_solver.discover.boards.joint_projector import (
     JointProjector,
     LocalQuadratic,
@@ -23,11 +23,10 @@ from gyrorig_solver.discover.boards.joint_projector import (
 from gyrorig_solver.discover.boards.scope_hypotheses import possible_owner
 from gyrorig_solver.discover.cause_search import search_causes
 from gyrorig_solver.discover.held_out_gain import gain_on_recording
-from gyrorig_solver.discover.motion_space import MotionFitSpace
 from gyrorig_solver.estimate import ConvergedFit, NuisanceProjector, WhitenedSignals
 from gyrorig_solver.model.catalogue import catalogue
 from gyrorig_solver.pipeline import explain_boards
-from gyrorig_solver.pipeline.explain_board import BoardExplanation
+from gyrorig_solver.pipeline.board_results import BoardExplanation
 from gyrorig_solver.pipeline.prepare_board import fit_base_model, prepare_held_out
 
 pytestmark = pytest.mark.long

@@ -10,10 +10,10 @@ from gyrorig_protocol.errors import InputError
 from gyrorig_protocol.identity import BoardId
 from gyrorig_protocol.recording.reader import read_recording
 from gyrorig_protocol.recording.writer import RecordingWriter
-from gyrorig_solver.check.recording_health import predict_observability
 from gyrorig_solver.data import FloatArray
 from gyrorig_solver.data.count_columns import CountColumn, PhysicalField, stored_column
 from gyrorig_solver.data.samples import GyroSamples, load_samples
+from gyrorig_solver.estimate.predicted_observability import predict_observability
 from gyrorig_solver.reference import RestReference
 
 START_NS = 1_790_000_000_000_000_000

@@ -1,0 +1,72 @@
+"""What is found of one board: its fit with criticism, and its findings with their report.
+
+What to use when: `RawChecks` of a board's samples come from `check_raw_streams` and
+`check_fitted_gain`.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from gyrorig_protocol.identity import BoardId
+from gyrorig_protocol.recording.recording import Recording
+from gyrorig_solver.calibration import find_profile
+from gyrorig_solver.data import FloatArray
+from gyrorig_solver.data.stream.gain_checks import check_gain
+from gyrorig_solver.data.stream.stream_checks import check_stream
+from gyrorig_solver.discover import CauseFindings, FitCriticism, FitExplanation
+from gyrorig_solver.estimate import ConvergedFit, GyroFit
+from gyrorig_solver.findings.findings_builder import RawChecks
+from gyrorig_solver.pipeline.board_data import BoardData
+from gyrorig_solver.report import ReportSeries
+
+ALL_RECORDINGS = "all recordings"  # whose common gain a check is of
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BoardExplanation:
+    """The findings of one board, with what its document and its report need."""
+
+    board: BoardId
+    recordings: tuple[Recording, ...]
+    findings: CauseFindings
+    raw_checks: tuple[RawChecks, ...]
+    report_series: ReportSeries | None  # None: no residual to draw
+    remarks: tuple[str, ...]
+    fit_explanation: FitExplanation | None  # None where the reference is no unit's motion
+    fit: GyroFit | None = None  # where the reference gives no rate at each moment
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CriticisedFit:
+    """One board's fit with the result of its search, or with that of significance tests."""
+
+    fit: GyroFit
+    solution: ConvergedFit | None  # None where the reference gives no rate at each moment
+    explanation: BoardExplanation | None = None  # where causes were searched for
+    criticism: FitCriticism | None = None  # where the model was requested
+
+    @property
+    def is_adequate(self) -> bool:
+        """Whether no test finds an effect that the fit leaves."""
+        if self.explanation is not None:
+            return self.explanation.findings.unexplained is None
+        return self.criticism is None or self.criticism.is_adequate
+
+
+def check_raw_streams(data: BoardData) -> list[RawChecks]:
+    """Return the checks of the samples of each recording."""
+    return [
+        RawChecks(recording.path.name, check_stream(samples))
+        for recording, samples in zip(data.recordings, data.samples, strict=True)
+    ]
+
+
+def check_fitted_gain(data: BoardData, gain: FloatArray) -> RawChecks:
+    """Return the checks of the gain that was fitted to all recordings."""
+    first = data.recordings[0]
+    name = first.path.name if len(data.recordings) == 1 else ALL_RECORDINGS
+    sensor = first.metadata.get(f"gyrorig.board.{data.board}", {}).get("sensor", "")
+    profile = find_profile(sensor)
+    tolerance = None if profile is None else profile.scale_tolerance
+    return RawChecks(name, check_gain(np.asarray(gain), tolerance))

@@ -1,0 +1,55 @@
+"""A kind of reference that gives the rate at each moment, so that causes can be searched.
+
+What to use when: subclass `MotionKind`, and give it a reader of the motion.
+"""
+
+from abc import abstractmethod
+from collections.abc import Sequence
+
+from gyrorig_protocol.recording.recording import Recording
+from gyrorig_solver.data.samples import GyroSamples
+from gyrorig_solver.discover import MotionFitSpace, criticise_fit, explain_fit
+from gyrorig_solver.estimate import FittedTerm, GyroFit
+from gyrorig_solver.pipeline.board_data import BoardData
+from gyrorig_solver.pipeline.board_results import BoardExplanation, CriticisedFit
+from gyrorig_solver.pipeline.motion_explanation import explain_motion
+from gyrorig_solver.pipeline.prepare_board import fit_base, prepare_board
+from gyrorig_solver.pipeline.reference_kind import ReferenceKind
+from gyrorig_solver.reference import ReferenceMotion
+
+
+class MotionKind(ReferenceKind):
+    """A reference whose motion is fitted by maximum likelihood, with causes."""
+
+    can_be_searched = True
+
+    @abstractmethod
+    def read_motion(self, recording: Recording, samples: GyroSamples) -> ReferenceMotion | None:
+        """Return the motion on the samples' time axis, None if the recording has none."""
+
+    def fit(
+        self, data: BoardData, extend: Sequence[str] = (), named_terms: Sequence[FittedTerm] = ()
+    ) -> GyroFit:
+        """Calibrate a board; see `ReferenceKind.fit`."""
+        prepared = prepare_board(data, extend, named_terms)
+        return prepared.summarize(prepared.solve())
+
+    def fit_criticised(self, data: BoardData, requested: Sequence[str]) -> CriticisedFit:
+        """Fit a board and test the residual; see `ReferenceKind.fit_criticised`."""
+        prepared = prepare_board(data, requested)
+        solution = prepared.solve()
+        criticism = criticise_fit(MotionFitSpace(solution))
+        return CriticisedFit(prepared.summarize(solution), solution, criticism=criticism)
+
+    def fit_explained(
+        self, data: BoardData, requested: Sequence[str], explanation: BoardExplanation
+    ) -> CriticisedFit:
+        """Fit a board with the named causes; see `ReferenceKind.fit_explained`."""
+        prepared = prepare_board(data, requested, explanation.findings.fitted_terms)
+        search = explanation.fit_explanation
+        solution = prepared.solve() if requested or search is None else search.solution_extended
+        return CriticisedFit(prepared.summarize(solution), solution, explanation)
+
+    def explain(self, data: BoardData, held_out: Recording | None) -> BoardExplanation:
+        """Search for the causes of the residual; see `ReferenceKind.explain`."""
+        return explain_motion(data, explain_fit(fit_base(data), data.board), held_out)

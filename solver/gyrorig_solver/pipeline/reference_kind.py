@@ -1,0 +1,116 @@
+"""The interface of a kind of reference to the pipeline.
+
+What to use when: subclass `ReferenceKind` for a reference with a fit of its own, for example to
+the angle of each turn; subclass `motion_kind.MotionKind` for one that gives the rate at each
+moment.
+"""
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType
+
+from gyrorig_protocol.errors import UsageError
+from gyrorig_protocol.identity import BoardId
+from gyrorig_protocol.recording.recording import Recording
+from gyrorig_solver.data.samples import GyroSamples
+from gyrorig_solver.discover import FitCriticism
+from gyrorig_solver.discover.fit_criticism import findings_without_rates
+from gyrorig_solver.estimate import FittedTerm, GyroFit, ObservabilityReport
+from gyrorig_solver.pipeline.board_data import BoardData
+from gyrorig_solver.pipeline.board_results import (
+    BoardExplanation,
+    CriticisedFit,
+    check_fitted_gain,
+    check_raw_streams,
+)
+from gyrorig_solver.reference import ReferenceMotion
+
+NO_RATES_REMARK = (
+    "the program did not test the residual over time, because the reference gives angles but not "
+    "the motion between them"
+)
+
+
+class ReferenceKind(ABC):
+    """A kind of reference: whether recordings have it, and what is fitted to it."""
+
+    title: str  # in a list of what a recording can have, for example "known turns"
+    preference: int  # of the kinds that the recordings have, the smallest number is used
+    can_be_searched = False  # whether causes can be searched in the residual of its fit
+    # What to record for `x`, `y`, `z` (gain columns), `bias` and `time_offset`, for a motion.
+    remedies: Mapping[str, str] = MappingProxyType({})
+
+    @abstractmethod
+    def is_given(self, data: BoardData) -> bool:
+        """Return whether a board's recordings have this reference."""
+
+    @abstractmethod
+    def fit(
+        self, data: BoardData, extend: Sequence[str] = (), named_terms: Sequence[FittedTerm] = ()
+    ) -> GyroFit:
+        """Calibrate a board.
+
+        Args:
+            data: of the board.
+            extend: causes of the catalogue to fit in addition to the base model.
+            named_terms: causes that a search named, to fit too.
+
+        Raises:
+            InputError: the data are not sufficient.
+            UsageError: the recordings cannot be solved together, or a cause cannot be fitted.
+        """
+
+    def fit_criticised(self, data: BoardData, requested: Sequence[str]) -> CriticisedFit:
+        """Fit a board with requested causes, and test what the fit leaves; errors as `fit`."""
+        return CriticisedFit(self.fit(data, requested), None, criticism=FitCriticism())
+
+    def fit_explained(
+        self, data: BoardData, requested: Sequence[str], explanation: BoardExplanation
+    ) -> CriticisedFit:
+        """Fit a board with the causes that a search named, and requested ones; errors as `fit`."""
+        fit = explanation.fit
+        if fit is None or requested:
+            fit = self.fit(data, requested)
+        return CriticisedFit(fit, None, explanation)
+
+    def explain(self, data: BoardData, held_out: Recording | None) -> BoardExplanation:
+        """Return the findings of a board; the named causes are tested on `held_out`.
+
+        Raises:
+            InputError: the data are not sufficient.
+            UsageError: the recordings cannot be fitted together.
+        """
+        del held_out  # no cause is named
+        fit = self.fit(data)
+        return BoardExplanation(
+            board=BoardId(data.board),
+            recordings=data.recordings,
+            findings=findings_without_rates(fit),
+            raw_checks=(*check_raw_streams(data), check_fitted_gain(data, fit.gain)),
+            report_series=None,
+            remarks=(*data.missing, *fit.warnings, *fit.limited_reasons, NO_RATES_REMARK),
+            fit_explanation=None,
+            fit=fit,
+        )
+
+    def read_motion(self, recording: Recording, samples: GyroSamples) -> ReferenceMotion | None:
+        """Return the motion on the samples' time axis, None if there is none at each moment."""
+        del recording, samples
+        return None
+
+    def determine_observability(self, data: BoardData) -> ObservabilityReport:
+        """Return which parameters the recordings determine; errors as `fit`."""
+        return self.fit(data).observability
+
+
+def refuse_causes(extend: Sequence[str]) -> None:
+    """Refuse causes where the fit to the reference cannot contain them.
+
+    Raises:
+        UsageError: a cause is given.
+    """
+    if extend:
+        raise UsageError(
+            "the option --extend needs a recording with a pan-tilt unit",
+            "leave out --extend, or record the board on a pan-tilt unit",
+        )

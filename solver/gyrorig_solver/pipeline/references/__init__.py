@@ -1,0 +1,6 @@
+"""The kinds of references, one per file: what each reads, fits and tests.
+
+To add a kind, add a file with a `KIND`. A reference that gives the rate at each moment is a
+`motion_kind.MotionKind`, which needs only a reader of its motion. Any other is a
+`reference_kind.ReferenceKind` with its own fit.
+"""

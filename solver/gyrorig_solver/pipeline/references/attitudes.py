@@ -1,0 +1,131 @@
+"""Reference attitudes: motion capture, a robot arm, the pose of a vehicle."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from gyrorig_protocol.errors import UsageError
+from gyrorig_protocol.identity import BoardId
+from gyrorig_protocol.recording.messages import REFERENCE_ATTITUDE_TOPIC
+from gyrorig_protocol.recording.recording import Recording, times_ns
+from gyrorig_solver.data.samples import GyroSamples
+from gyrorig_solver.discover import criticise_fit
+from gyrorig_solver.discover.attitude.attitude_space import AttitudeRecording, fit_attitude_space
+from gyrorig_solver.discover.attitude.explain_attitudes import explain_attitudes
+from gyrorig_solver.estimate import FittedTerm, GyroFit, fit_attitude
+from gyrorig_solver.pipeline.board_data import BoardData, load_board
+from gyrorig_solver.pipeline.board_results import (
+    BoardExplanation,
+    CriticisedFit,
+    check_fitted_gain,
+    check_raw_streams,
+)
+from gyrorig_solver.pipeline.motion_explanation import NO_CAUSE_REMARK
+from gyrorig_solver.pipeline.recording_contexts import read_contexts
+from gyrorig_solver.pipeline.reference_kind import ReferenceKind, refuse_causes
+from gyrorig_solver.reference import AttitudeReference, read_attitude
+from gyrorig_solver.report.report_series import series_of_attitudes
+
+
+class AttitudeKind(ReferenceKind):
+    """Attitudes on their own topic; recordings without them are left out."""
+
+    title = "reference attitudes"
+    preference = 20
+    can_be_searched = True
+
+    def is_given(self, data: BoardData) -> bool:
+        """Return whether a recording has attitudes."""
+        return any(has_attitudes(recording) for recording in data.recordings)
+
+    def fit(
+        self, data: BoardData, extend: Sequence[str] = (), named_terms: Sequence[FittedTerm] = ()
+    ) -> GyroFit:
+        """Calibrate a board with the attitudes; see `ReferenceKind.fit`."""
+        del named_terms
+        refuse_causes(extend)
+        return fit_attitude(
+            [
+                (samples, attitude_reference(recording, samples))
+                for recording, samples in zip(data.recordings, data.samples, strict=True)
+                if has_attitudes(recording)
+            ]
+        )
+
+    def fit_criticised(self, data: BoardData, requested: Sequence[str]) -> CriticisedFit:
+        """Fit a board, and test what the fit leaves; see `ReferenceKind.fit_criticised`."""
+        refuse_causes(requested)
+        space = fit_attitude_space(load_attitude_recordings(data))
+        return CriticisedFit(space.fit, None, criticism=criticise_fit(space))
+
+    def explain(self, data: BoardData, held_out: Recording | None) -> BoardExplanation:
+        """Search for the causes of the residual; see `ReferenceKind.explain`."""
+        usable = tuple(r for r in data.recordings if has_attitudes(r))
+        held = [] if held_out is None else _load_held_out(held_out, data.board)
+        explanation = explain_attitudes(load_attitude_recordings(data), *held)
+        fit, remarks = explanation.fit, list(explanation.remarks)
+        if held_out is not None and explanation.findings.other_recording_gain is None:
+            remarks.append(NO_CAUSE_REMARK.format(held_out.path.name))
+        left_out = [
+            f"the recording {other.path.name} was left out, because it has no reference attitudes"
+            for other in data.recordings
+            if other not in usable
+        ]
+        return BoardExplanation(
+            board=BoardId(data.board),
+            recordings=usable,
+            findings=explanation.findings,
+            raw_checks=(*check_raw_streams(data), check_fitted_gain(data, fit.gain)),
+            report_series=series_of_attitudes(explanation),
+            remarks=(*left_out, *fit.warnings, *fit.limited_reasons, *remarks),
+            fit_explanation=None,
+            fit=fit,
+        )
+
+
+KIND = AttitudeKind()
+
+
+def has_attitudes(recording: Recording) -> bool:
+    """Return whether a recording has reference attitudes."""
+    return REFERENCE_ATTITUDE_TOPIC in recording.topics
+
+
+def attitude_reference(recording: Recording, samples: GyroSamples) -> AttitudeReference:
+    """Return a recording's attitudes on its samples' time axis.
+
+    Raises:
+        InputError: no attitude is usable.
+    """
+    raw = recording.reference_attitude()
+    time_s = np.asarray((times_ns(raw["host_time"]) - samples.origin_ns) * 1e-9, np.float64)
+    return read_attitude(time_s, raw["orientation"], raw["standard_deviation"])
+
+
+def load_attitude_recordings(data: BoardData) -> list[AttitudeRecording]:
+    """Return a board's recordings that have reference attitudes, ready to be explained.
+
+    Raises:
+        InputError: no attitude of a recording is usable.
+    """
+    loaded = [
+        (recording, samples, None)
+        for recording, samples in zip(data.recordings, data.samples, strict=True)
+        if has_attitudes(recording)
+    ]
+    return [
+        AttitudeRecording(
+            recording.path.name, samples, attitude_reference(recording, samples), context
+        )
+        for (recording, samples, _), context in zip(loaded, read_contexts(loaded), strict=True)
+    ]
+
+
+def _load_held_out(recording: Recording, board: str) -> list[AttitudeRecording]:
+    if not has_attitudes(recording):
+        raise UsageError(
+            f"the recording {recording.path.name} has no reference attitudes, so the causes that "
+            "were found with attitudes cannot be tested on it",
+            "give a recording with reference attitudes as --held-out",
+        )
+    return load_attitude_recordings(load_board([recording], board))
