@@ -13,6 +13,7 @@ from typing import Any
 
 import msgspec
 from docs.commands import EXIT_CODES, PROGRAMS, described
+from docs.map_page import import_map_page
 
 from gyrorig_daemon.emulator.injection import CAUSES
 from gyrorig_protocol.profile import SensorProfile, parse_profile
@@ -43,7 +44,6 @@ DOCUMENTS = (
         "SensorProfile",
     ),
     ("Rig, `gyrorig/rig/1`", "gyrorig_daemon.config.rig_document", "RigConfig"),
-    ("Import map, `gyrorig/import/1`", "gyrorig_solver.importers.import_map", "ImportMap"),
 )
 # What a program may rely on: module and names.
 PYTHON = (
@@ -377,6 +377,7 @@ PAGES: Mapping[str, Callable[[], str]] = MappingProxyType(
         "reference/catalogue.md": causes,
         "reference/sensors.md": sensors,
         "reference/formats.md": formats,
+        "reference/import-map.md": import_map_page,
         "reference/python.md": python,
         "decisions/index.md": decisions,
     }

@@ -3,10 +3,12 @@
 import functools
 import struct
 import tempfile
+import zipfile
 import zlib
 from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
 import zstandard
 from tests.fuzz.target import Target, check_single_line, expect_rejection
 
@@ -23,6 +25,7 @@ from gyrorig_protocol.recording.messages import (
 )
 from gyrorig_protocol.recording.reader import read_recording
 from gyrorig_protocol.recording.writer import RecordingWriter
+from gyrorig_solver.importers.map_keys import TableLayout
 from gyrorig_solver.importers.measurement_columns import open_columns
 from gyrorig_solver.importers.phone_log import read_phone_log
 
@@ -69,6 +72,47 @@ def table(data: bytes) -> None:
     expect_rejection(
         lambda _: open_columns(path, ["t", "x", "y"]).matrix(["x", "y"], 2), InputError, data
     )
+
+
+def layout(data: bytes) -> None:
+    """As `table`, of a table with two header lines, comments and decimal commas."""
+    path = folder() / "fuzz.csv"
+    path.write_bytes(data)
+    made = TableLayout(header_rows=2, comment="#", decimal="comma")
+    keys: list[str | int] = ["gyro x", "x#2", 3]
+    expect_rejection(lambda _: open_columns(path, keys, made).matrix(keys, 3), InputError, data)
+
+
+def archive(data: bytes) -> None:
+    """An archive is rejected with one line, or its arrays can be read."""
+    path = folder() / "fuzz.npz"
+    path.write_bytes(data)
+    keys = ["t", "log[1]"]
+    expect_rejection(lambda _: open_columns(path, keys).matrix(keys, 2), InputError, data)
+
+
+@functools.cache
+def small_archive() -> bytes:
+    """An archive that is not compressed, so that damage reaches the arrays."""
+    path = folder() / "seed.npz"
+    np.savez(path, t=np.arange(3), log=np.zeros((3, 2)))
+    return path.read_bytes()
+
+
+def array(data: bytes) -> None:
+    """As `archive`, of an array in an archive whose checksums are right."""
+    with zipfile.ZipFile(folder() / "fuzz.npz", "w") as out:
+        out.writestr("t.npy", data)
+        out.writestr("log.npy", data)
+    archive((folder() / "fuzz.npz").read_bytes())
+
+
+@functools.cache
+def small_array() -> bytes:
+    """One array, as `numpy.save` writes it."""
+    path = folder() / "seed.npy"
+    np.save(path, np.zeros((3, 2)))
+    return path.read_bytes()
 
 
 @functools.cache
@@ -151,5 +195,10 @@ TARGETS = (
     Target("recording", recording, lambda: [small_recording()], 16384),
     Target("chunk", chunk, _contents, 8192),
     Target("phone", phone, lambda: list(PHONE_LOGS), 2048),
+    Target("archive", archive, lambda: [small_archive()], 4096),
+    Target("array", array, lambda: [small_array()], 1024),
+    Target(
+        "layout", layout, lambda: [b'gyro,,\nx,x,y\n# a\n"1,5",2,3\n', b"gyro;;\nx;x;y\n1,5;2;3"]
+    ),
     Target("table", table, lambda: [b"t,x,y\n0,1,2\n1,3,4\n", b"t\tx\ty\n1\t2\t3\n"], 1024),
 )

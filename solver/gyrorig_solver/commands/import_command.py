@@ -52,7 +52,8 @@ def import_command(
 
     FORMAT is `csv` or `npz` (with --map), `android` for the log of a phone, or the name of a
     column map in config/imports. With --beside, the clock of a phone is found from the motion.
-    docs/how-to/import.md describes the column map.
+    docs/how-to/import.md describes the column map, and the page "Import map" of the
+    documentation (reference/import-map) lists all its keys.
 
     \b
     Examples:

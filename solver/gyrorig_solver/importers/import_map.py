@@ -1,141 +1,19 @@
-"""The import map: meaning and unit of the columns of a measurement file.
+"""Reading and checking of import maps.
 
-What to use when: `load_import_map` reads and checks a map file. The structures define its keys;
-unknown keys are errors. The maps that this project ships are in config/imports.
+What to use when: `load_import_map` reads and checks a map file; `check_import_map` checks a map
+made in a program. The keys are in `map_keys`. The maps that this project ships are in
+config/imports.
 """
 
 import math
 from pathlib import Path
-from typing import Annotated, Literal
 
-import msgspec
+import numpy as np
 
 from gyrorig_protocol.documents import convert_document, parse_yaml
 from gyrorig_protocol.errors import UsageError
 from gyrorig_protocol.identity import BoardId
-
-SCHEMA = "gyrorig/import/1"
-
-ColumnKey = Annotated[str, msgspec.Meta(min_length=1, max_length=200)]
-Positive = Annotated[float, msgspec.Meta(gt=0.0)]
-Triple = Annotated[list[float], msgspec.Meta(min_length=3, max_length=3)]
-ColumnKeys = Annotated[list[ColumnKey], msgspec.Meta(min_length=1, max_length=4)]
-
-
-class _MapPart(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Base of the parts of a map; unknown keys are errors."""
-
-
-class TimeBase(_MapPart, frozen=True):
-    """Source of the times of a stream: a column, or a rate and the row number.
-
-    With `stamp: arrival` the column contains the arrival times at the host, possibly in
-    bursts. Then `rate_hz` is the nominal rate of the sensor, and the row number is its clock.
-    """
-
-    key: ColumnKey | None = None
-    unit: Literal["s", "ms", "us", "ns"] = "s"
-    rate_hz: Positive | None = None
-    rate_key: ColumnKey | None = None  # an array with the rate
-    origin_s: float = 0.0  # added to every time
-    stamp: Literal["sampled", "arrival"] = "sampled"
-
-
-class GyroColumns(_MapPart, frozen=True):
-    """The gyroscope: one array of three columns, or three columns."""
-
-    keys: ColumnKeys
-    unit: Literal["rad/s", "deg/s", "counts"]
-    scale_rad_s: Positive | None = None  # nominal scale of a count, with unit counts
-    offset_counts: int = 0  # the code of zero in offset binary, subtracted
-    full_scale_dps: Positive | None = None
-    bandwidth_hz: Positive | None = None
-
-
-class AccelColumns(_MapPart, frozen=True):
-    """The accelerometer, with separate times if it has them."""
-
-    keys: ColumnKeys
-    unit: Literal["m/s2", "g", "counts"]
-    scale_m_s2: Positive | None = None
-    offset_counts: int = 0
-    time: TimeBase | None = None
-
-
-class TemperatureColumn(_MapPart, frozen=True):
-    """The temperature in degrees Celsius, with separate times if it has them."""
-
-    key: ColumnKey
-    time: TimeBase | None = None
-
-
-class AttitudeColumns(_MapPart, frozen=True):
-    """A reference attitude; rows that are not finite are gaps.
-
-    With `stamp: arrival` under `time` the attitudes are late by a delay that changes; the
-    solver then finds the times of the frames. There `rate_hz` is not needed.
-    """
-
-    keys: ColumnKeys
-    order: Literal["wxyz", "xyzw"]
-    maps: Literal["body_to_world", "world_to_body"] = "body_to_world"
-    std_deg: Positive | None = None  # per axis, if the source specifies it
-    time: TimeBase | None = None
-
-
-class SectionSpan(_MapPart, frozen=True):
-    """A section by row numbers [start, end) or by times; a missing bound is open."""
-
-    start: Annotated[int, msgspec.Meta(ge=0)] | None = None
-    end: Annotated[int, msgspec.Meta(ge=0)] | None = None
-    begin_s: float | None = None
-    end_s: float | None = None
-
-
-class MappedTurn(_MapPart, frozen=True):
-    """A known turn: axis in the stage frame, signed angle, its standard deviation."""
-
-    axis: Triple
-    angle_deg: float
-    std_deg: Positive
-    over: SectionSpan = SectionSpan()
-
-
-class SectionFile(_MapPart, frozen=True):
-    """Sections listed in a JSON file next to the input: name -> {start, end} rows."""
-
-    name: Annotated[str, msgspec.Meta(pattern=r"^[^/\\]+\.json$")]
-    static: list[ColumnKey] = []
-    turns: dict[str, MappedTurn] = {}
-
-
-class StaticMask(_MapPart, frozen=True):
-    """Rests are the sections in which a column has this value for at least `shortest_s`."""
-
-    key: ColumnKey
-    value: float
-    shortest_s: Positive = 1.0
-
-
-class ImportMap(_MapPart, frozen=True):
-    """How to convert one kind of file to a recording."""
-
-    schema: Literal["gyrorig/import/1"]
-    board: ColumnKey
-    sensor: str
-    time: TimeBase
-    gyro: GyroColumns
-    uid: str = "unknown"
-    model: str | None = None
-    source: str | None = None  # origin of the data, for readers of the recording
-    accel: AccelColumns | None = None
-    temperature: TemperatureColumn | None = None
-    attitude: AttitudeColumns | None = None
-    static: list[SectionSpan] = []
-    static_mask: StaticMask | None = None
-    turns: list[MappedTurn] = []
-    sections: SectionFile | None = None
-    gravity_m_s2: Positive | None = None
+from gyrorig_solver.importers.map_keys import SCHEMA, ImportMap, TimeBase
 
 
 def load_import_map(path: Path) -> ImportMap:
@@ -188,17 +66,8 @@ def check_import_map(import_map: ImportMap, name: str) -> ImportMap:
             "add `scale_m_s2` under `accel`, with the value of one count in m/s^2 from the "
             "data sheet",
         )
-    for where, columns, width in (
-        ("gyro", import_map.gyro, 3),
-        ("accel", import_map.accel, 3),
-        ("attitude", import_map.attitude, 4),
-    ):
-        if columns is not None and len(columns.keys) not in (1, width):
-            raise UsageError(
-                f"in the import map {name}, `keys` under `{where}` has {len(columns.keys)} "
-                f"entries instead of 1 or {width}",
-                f"give the name of one array with {width} columns, or {width} names of columns",
-            )
+    _check_columns(import_map, name)
+    _check_files(import_map, name)
     turns = [
         *import_map.turns,
         *(import_map.sections.turns.values() if import_map.sections else ()),
@@ -211,6 +80,61 @@ def check_import_map(import_map: ImportMap, name: str) -> ImportMap:
                 "give the axis as a unit vector, for example [0.0, 0.0, 1.0]",
             )
     return import_map
+
+
+def _check_columns(import_map: ImportMap, name: str) -> None:
+    """Check the numbers of columns, and that the zeros have the unit of the columns."""
+    attitude = import_map.attitude
+    matrices = attitude is not None and attitude.order == "matrix"
+    for where, columns, width in (
+        ("gyro", import_map.gyro, 3),
+        ("accel", import_map.accel, 3),
+        ("attitude", attitude, 9 if matrices else 4),
+    ):
+        if columns is not None and len(columns.keys) not in (1, width):
+            raise UsageError(
+                f"in the import map {name}, `keys` under `{where}` has {len(columns.keys)} "
+                f"entries instead of 1 or {width}",
+                f"give the name of one array with {width} columns, or {width} names of columns",
+            )
+    for where, sensor in (("gyro", import_map.gyro), ("accel", import_map.accel)):
+        if sensor is None:
+            continue
+        wrong = "zero" if sensor.unit == "counts" else "offset_counts"
+        if np.any(np.asarray(getattr(sensor, wrong)) != 0):
+            right = "offset_counts" if sensor.unit == "counts" else "zero"
+            raise UsageError(
+                f"in the import map {name}, `{wrong}` under `{where}` does not apply to the unit "
+                f"{sensor.unit}",
+                f"use the key `{right}`",
+            )
+
+
+def _check_files(import_map: ImportMap, name: str) -> None:
+    """Check that streams in other files have times, and that the layouts are possible."""
+    layouts = [("table", import_map.table)]
+    for where in ("accel", "temperature", "attitude"):
+        part = getattr(import_map, where)
+        if part is None:
+            continue
+        if part.file is not None and part.time is None:
+            raise UsageError(
+                f"in the import map {name}, `{where}` is in another file, but has no times",
+                f"give the times in this file with the key `time` under `{where}`",
+            )
+        if part.table is not None and part.file is None:
+            raise UsageError(
+                f"in the import map {name}, `{where}` has the key `table`, but no key `file`",
+                "give the layout of the input with the key `table` at the top of the map",
+            )
+        layouts.append((f"{where}: table", part.table))
+    for where, layout in layouts:
+        if layout is not None and layout.decimal == "comma" and layout.delimiter == "comma":
+            raise UsageError(
+                f"in the import map {name}, `{where}` has the comma both between columns and in "
+                "numbers",
+                "export the table again with another delimiter or with decimal points",
+            )
 
 
 def _check_time(time: TimeBase, name: str, is_attitude: bool) -> None:

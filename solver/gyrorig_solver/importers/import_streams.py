@@ -12,12 +12,6 @@ from scipy.optimize import isotonic_regression
 from gyrorig_protocol.errors import InputError
 from gyrorig_protocol.recording.messages import ImuStatus
 from gyrorig_solver.data import BoolArray, FloatArray, IntArray
-from gyrorig_solver.importers.import_map import (
-    AccelColumns,
-    AttitudeColumns,
-    GyroColumns,
-    ImportMap,
-)
 from gyrorig_solver.importers.import_times import (
     device_ticks,
     nanoseconds,
@@ -25,7 +19,17 @@ from gyrorig_solver.importers.import_times import (
     read_times,
     values_at_samples,
 )
+from gyrorig_solver.importers.map_columns import MapColumns
+from gyrorig_solver.importers.map_keys import (
+    AccelColumns,
+    AttitudeColumns,
+    GyroColumns,
+    ImportMap,
+    TemperatureColumn,
+)
+from gyrorig_solver.importers.matrix_attitudes import quaternions_of_matrices
 from gyrorig_solver.importers.measurement_columns import MeasurementColumns
+from gyrorig_solver.importers.text_columns import list_names
 
 # Physical units become int32 counts with a scale far below the resolution of any sensor.
 GYRO_COUNT_RAD_S = 1e-7
@@ -64,36 +68,22 @@ class AttitudeStream:
     metadata: dict[str, str]  # of `gyrorig.reference`; empty if the source says nothing
 
 
-def wanted_keys(mapping: ImportMap) -> list[str]:
-    """Return all columns that a map needs."""
-    keys = list(mapping.gyro.keys)
-    for part in (mapping.accel, mapping.attitude):
-        keys += part.keys if part else []
-    if mapping.temperature:
-        keys.append(mapping.temperature.key)
-    if mapping.static_mask:
-        keys.append(mapping.static_mask.key)
-    for part_with_time in (mapping, mapping.accel, mapping.temperature, mapping.attitude):
-        time = part_with_time.time if part_with_time is not None else None
-        keys += [key for key in (time.key, time.rate_key) if key] if time else []
-    return keys
-
-
 def read_streams(
-    columns: MeasurementColumns, mapping: ImportMap
+    columns: MapColumns, mapping: ImportMap
 ) -> tuple[ImuStream, AttitudeStream | None]:
     """Return the samples and the reference attitude of one input.
 
     Raises:
         InputError: times decrease, a value is out of range, or there is no usable data.
     """
-    gyro = columns.matrix(mapping.gyro.keys, 3)
-    time_s = read_times(columns, mapping.time, len(gyro), "gyro")
+    source = columns.of("gyro")
+    gyro = source.matrix(mapping.gyro.keys, 3)
+    time_s = read_times(source, mapping.time, len(gyro), "gyro")
     notes: list[str] = []
     is_finite = np.all(np.isfinite(gyro), axis=1)
     if is_finite.sum() < 2:
         raise InputError(
-            f"the gyro columns {', '.join(mapping.gyro.keys)} contain fewer than two rows of "
+            f"the gyro columns {list_names(mapping.gyro.keys)} contain fewer than two rows of "
             "numbers",
             "correct `keys` under `gyro` in the import map",
         )
@@ -111,18 +101,20 @@ def read_streams(
             metadata["gyro_" + key if key == "full_scale_dps" else key] = repr(value)
     accel = None
     if mapping.accel:
-        accel, valid, scale = _accel_counts(columns, mapping.accel, time_s, row, notes)
+        accel, valid, scale = _accel_counts(columns.of("accel"), mapping.accel, time_s, row, notes)
         status |= np.where(valid, int(ImuStatus.ACCEL_VALID), 0)
         metadata["accel_scale_m_s2"] = repr(scale)
     temperature = np.zeros(row.size, dtype=np.int64)
     if mapping.temperature:
-        temperature, valid = _temperature_counts(columns, mapping, time_s, row, notes)
+        temperature, valid = _temperature_counts(
+            columns.of("temperature"), mapping.temperature, time_s, row, notes
+        )
         status |= np.where(valid, int(ImuStatus.TEMPERATURE_VALID), 0)
         metadata["temperature_scale_c"] = repr(TEMPERATURE_COUNT_C)
         metadata["temperature_offset_c"] = repr(TEMPERATURE_OFFSET_C)
     attitude = None
     if mapping.attitude:
-        attitude = _attitude_stream(columns, mapping.attitude, time_s, notes)
+        attitude = _attitude_stream(columns.of("attitude"), mapping.attitude, time_s, notes)
     device_time, clock = device_ticks(mapping.time, time_s, row)
     imu = ImuStream(
         host_time_ns=nanoseconds(time_s[row]),
@@ -133,7 +125,7 @@ def read_streams(
         temperature=temperature,
         gyro=gyro_counts,
         accel=accel,
-        metadata=metadata | clock | output_rate_metadata(columns, mapping.time),
+        metadata=metadata | clock | output_rate_metadata(source, mapping.time),
         notes=tuple(notes),
     )
     return imu, attitude
@@ -147,7 +139,8 @@ def _gyro_scale(columns: GyroColumns) -> float:
 
 def _gyro_counts(gyro: FloatArray, columns: GyroColumns) -> IntArray:
     if columns.unit == "counts":
-        return _whole_counts(gyro - columns.offset_counts, "gyro")
+        return _whole_counts(gyro - np.asarray(columns.offset_counts), "gyro")
+    gyro = gyro - np.asarray(columns.zero)
     rate = np.radians(gyro) if columns.unit == "deg/s" else gyro
     return _int32_counts(rate / GYRO_COUNT_RAD_S, "gyro")
 
@@ -164,23 +157,21 @@ def _accel_counts(
     base_s = read_times(columns, part.time, len(values), "accel") if part.time else None
     picked = values_at_samples(values, base_s, time_s, row, "accel", notes)
     valid = np.all(np.isfinite(picked), axis=1)
-    picked = np.where(valid[:, None], picked, part.offset_counts if part.unit == "counts" else 0.0)
+    zero = np.asarray(part.offset_counts if part.unit == "counts" else part.zero)
+    picked = np.where(valid[:, None], picked - zero, 0.0)
     if part.unit == "counts" and part.scale_m_s2 is not None:
-        return _whole_counts(picked - part.offset_counts, "accel"), valid, part.scale_m_s2
+        return _whole_counts(picked, "accel"), valid, part.scale_m_s2
     unit = STANDARD_GRAVITY_M_S2 if part.unit == "g" else 1.0
     return _int32_counts(picked * unit / ACCEL_COUNT_M_S2, "accel"), valid, ACCEL_COUNT_M_S2
 
 
 def _temperature_counts(
     columns: MeasurementColumns,
-    mapping: ImportMap,
+    part: TemperatureColumn,
     time_s: FloatArray,
     row: IntArray,
     notes: list[str],
 ) -> tuple[IntArray, BoolArray]:
-    part = mapping.temperature
-    if part is None:
-        raise ValueError("the map has no temperature")
     values = columns.matrix([part.key], 1)
     base_s = read_times(columns, part.time, len(values), "temperature") if part.time else None
     picked = values_at_samples(values, base_s, time_s, row, "temperature", notes)[:, 0]
@@ -192,7 +183,10 @@ def _temperature_counts(
 def _attitude_stream(
     columns: MeasurementColumns, part: AttitudeColumns, time_s: FloatArray, notes: list[str]
 ) -> AttitudeStream:
-    values = columns.matrix(part.keys, 4)
+    if part.order == "matrix":
+        values = quaternions_of_matrices(columns.matrix(part.keys, 9))
+    else:
+        values = columns.matrix(part.keys, 4)
     if part.order == "wxyz":
         values = values[:, [1, 2, 3, 0]]
     if part.maps == "world_to_body":
@@ -212,7 +206,7 @@ def _attitude_stream(
     length = np.linalg.norm(values[is_finite], axis=1)
     if not length.size:
         raise InputError(
-            "no row of the attitude columns contains four numbers",
+            "no row of the attitude columns contains numbers only",
             "correct `keys` under `attitude` in the import map",
         )
     if np.any(np.abs(length - 1.0) > 0.01):

@@ -4,7 +4,7 @@ import numpy as np
 
 from gyrorig_protocol.errors import InputError
 from gyrorig_solver.data import FloatArray, IntArray
-from gyrorig_solver.importers.import_map import TimeBase
+from gyrorig_solver.importers.map_keys import TimeBase
 from gyrorig_solver.importers.measurement_columns import MeasurementColumns
 
 UNIT_S = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}

@@ -5,41 +5,51 @@ arrays. The size of the input is checked before it is loaded, nothing in it is e
 every defect is an `InputError` of one line.
 """
 
-import csv
-import warnings
+import lzma
+import re
 import zipfile
 import zlib
-from collections.abc import Iterable, Mapping, Sequence
-from io import StringIO
-from itertools import islice
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Protocol
+from tokenize import TokenError
+from typing import IO, Protocol
 
 import numpy as np
 
 from gyrorig_protocol.errors import InputError
+from gyrorig_protocol.suggestions import did_you_mean
 from gyrorig_solver.data import FloatArray
 from gyrorig_solver.data.text_table import check_text_table
+from gyrorig_solver.importers.map_keys import Column, TableLayout
+from gyrorig_solver.importers.text_columns import TextColumns, check_matrix, list_names
 
-# A row takes about 200 bytes (measured on 2 million rows): ten million rows take 2 GB.
-MAX_ROWS = 10_000_000
 MAX_ARCHIVE_BYTES = 4_000_000_000
-ROWS_AT_A_TIME = 200_000
-MAX_HEADER_CHARS = 100_000
-MAX_LISTED_NAMES = 12  # names listed in an error
 _ARRAY_REMEDY = "save the array with numpy.savez as floats or integers"
+# RuntimeError: the archive has a password, or (NotImplementedError) an unknown compression
+_ARCHIVE_ERRORS = (
+    OSError, zipfile.BadZipFile, zlib.error, lzma.LZMAError, EOFError, MemoryError, RuntimeError,
+    UnicodeDecodeError,
+)  # fmt: skip
+_ELEMENT = re.compile(r"(.+)\[(\d{1,3})\]")  # one column of an array: key[0]
 
 
 class MeasurementColumns(Protocol):
     """The named columns of a file."""
 
-    def matrix(self, keys: Sequence[str], width: int) -> FloatArray:
+    def matrix(self, keys: Sequence[Column], width: int) -> FloatArray:
         """Return one array of `width` columns, or `width` single columns joined."""
         ...
 
 
-def open_columns(path: Path, wanted: Sequence[str]) -> MeasurementColumns:
-    """Open a table for the columns that a map asks for.
+def open_columns(
+    path: Path, wanted: Sequence[Column], layout: TableLayout | None = None
+) -> MeasurementColumns:
+    """Open a table or an archive for the columns that a map asks for.
+
+    Args:
+        path: the file.
+        wanted: the columns by name or by number from 1.
+        layout: how a text table is written.
 
     Raises:
         InputError: the file cannot be read, lacks a column, or is too large.
@@ -56,8 +66,8 @@ def open_columns(path: Path, wanted: Sequence[str]) -> MeasurementColumns:
         if path.suffix == ".npz":
             return _ArchiveColumns(path, wanted)
         check_text_table(path)
-        return _TableColumns(path, wanted)
-    except (OSError, zipfile.BadZipFile, zlib.error, EOFError, MemoryError) as error:
+        return TextColumns(path, wanted, layout or TableLayout())
+    except _ARCHIVE_ERRORS as error:
         raise InputError(
             f"the file {path.name} cannot be read ({_one_line(error)})",
             "copy the file again from its source",
@@ -67,172 +77,105 @@ def open_columns(path: Path, wanted: Sequence[str]) -> MeasurementColumns:
 class _ArchiveColumns:
     """A NumPy archive; only the requested arrays are loaded."""
 
-    def __init__(self, path: Path, wanted: Sequence[str]) -> None:
-        with zipfile.ZipFile(path) as archive:
-            size = {i.filename.removesuffix(".npy"): i.file_size for i in archive.infolist()}
-        missing = [key for key in wanted if key not in size]
-        if missing:
-            raise InputError(
-                f"the file {path.name} contains no array {missing[0]!r}",
-                f"in the import map, choose one of the arrays {_list_names(size)}",
-            )
-        if sum(size[key] for key in set(wanted)) > MAX_ARCHIVE_BYTES:
-            raise InputError(
-                f"the arrays in the file {path.name} need more than 4 GB of memory",
-                "split the file, and import each part",
-            )
-        self._arrays: dict[str, FloatArray] = {}
-        with np.load(path, allow_pickle=False) as loaded:
-            for key in dict.fromkeys(wanted):
-                try:
-                    values = loaded[key]
-                except ValueError as error:  # objects; pickles are never opened
-                    raise InputError(
-                        f"in the file {path.name}, the array {key} contains objects instead "
-                        "of numbers",
-                        _ARRAY_REMEDY,
-                    ) from error
-                if values.dtype.kind not in "biuf":
-                    raise InputError(
-                        f"in the file {path.name}, the array {key} contains {values.dtype} "
-                        "values instead of real numbers",
-                        _ARRAY_REMEDY,
-                    )
-                self._arrays[key] = values.astype(np.float64)
+    def __init__(self, path: Path, wanted: Sequence[Column]) -> None:
         self._name = path.name
+        self._arrays: dict[str, FloatArray] = {}
+        self._element: dict[Column, tuple[str, int | None]] = {}
+        with zipfile.ZipFile(path) as archive:
+            members = archive.infolist()
+            names = [member.filename.removesuffix(".npy") for member in members]
+            for key in dict.fromkeys(wanted):
+                self._element[key] = self._find_array(key, names)
+            arrays = {array for array, _ in self._element.values()}
+            size = dict(zip(names, (member.file_size for member in members), strict=True))
+            if sum(size[array] for array in arrays) > MAX_ARCHIVE_BYTES:
+                raise InputError(
+                    f"the arrays in the file {path.name} need more than 4 GB of memory",
+                    "split the file, and import each part",
+                )
+            for array in arrays:
+                member = members[names.index(array)]
+                with archive.open(member) as content:
+                    self._arrays[array] = _read_array(
+                        content, member.file_size, f"in the file {path.name}, the array {array}"
+                    )
 
-    def matrix(self, keys: Sequence[str], width: int) -> FloatArray:
-        parts = [self._arrays[key] for key in keys]
-        columns = [part.reshape(-1, 1) if part.ndim < 2 else part for part in parts]
+    def _find_array(self, key: Column, names: Sequence[str]) -> tuple[str, int | None]:
+        """Return the array of a key, and the number of its column if the key has one."""
+        element = None if isinstance(key, int) or key in names else _ELEMENT.fullmatch(key)
+        array = element[1] if element is not None else key
+        if isinstance(array, int):
+            raise InputError(
+                f"the file {self._name} has arrays with names, so {array} is not a column of it",
+                f"in the import map, choose one of the arrays {list_names(names)}",
+            )
+        if names.count(array) != 1:
+            problem = f"{names.count(array)} arrays" if array in names else "no array"
+            raise InputError(
+                f"the file {self._name} contains {problem} {array!r}",
+                did_you_mean(array, set(names) - {array})
+                or f"in the import map, choose one of the arrays {list_names(names)}",
+            )
+        return array, int(element[2]) if element is not None else None
+
+    def matrix(self, keys: Sequence[Column], width: int) -> FloatArray:
+        columns = [self._column(key, width) for key in keys]
         if len({part.shape[0] for part in columns}) != 1 or any(p.ndim != 2 for p in columns):
             sizes = " and ".join(str(part.shape[0]) for part in columns)
             raise InputError(
-                f"in the file {self._name}, the columns {_list_names(keys)} have different "
+                f"in the file {self._name}, the columns {list_names(keys)} have different "
                 f"lengths ({sizes} rows)",
                 "name columns of equal length in the import map",
             )
-        return _check_matrix(np.concatenate(columns, axis=1), keys, width, self._name)
+        return check_matrix(np.concatenate(columns, axis=1), keys, width, self._name)
 
-
-class _TableColumns:
-    """A text table, read in blocks; only the requested columns are kept."""
-
-    def __init__(self, path: Path, wanted: Sequence[str]) -> None:
-        self._name = path.name
-        with path.open(encoding="utf-8", errors="replace", newline="") as lines:
-            header = lines.readline(MAX_HEADER_CHARS)
-            delimiter = max(",;\t", key=header.count)
-            names = [
-                name.strip() for name in next(csv.reader(StringIO(header), delimiter=delimiter), [])
-            ]
-            missing = [key for key in wanted if key not in names]
-            if missing:
+    def _column(self, key: Column, width: int) -> FloatArray:
+        array, element = self._element[key]
+        values = self._arrays[array]
+        if element is not None:
+            if values.ndim != 2 or element >= values.shape[1]:
                 raise InputError(
-                    f"the table {path.name} has no column {missing[0]!r}",
-                    f"in the import map, choose one of the columns {_list_names(names)}",
+                    f"in the file {self._name}, the array {array} has the shape {values.shape}, "
+                    f"so it has no column {element}",
+                    "count the columns of an array from 0 in the import map",
                 )
-            unique = list(dict.fromkeys(wanted))
-            column_indices = [names.index(key) for key in unique]
-            blocks = []
-            rows = 0
-            while block := list(islice(lines, ROWS_AT_A_TIME)):
-                try:
-                    blocks.append(_parse_rows(block, delimiter, column_indices))
-                except (ValueError, IndexError) as error:
-                    cells = {at: key for key, at in zip(unique, column_indices, strict=True)}
-                    raise _bad_cell_error(path.name, block, delimiter, cells, rows) from error
-                rows += len(block)
-                if rows > MAX_ROWS:
-                    raise InputError(
-                        f"the file {path.name} has more than {MAX_ROWS} rows",
-                        "split the file, and import each part",
-                    )
-        if not sum(len(block) for block in blocks):
-            raise InputError(
-                f"the table {path.name} has a header, but no rows", "give a file with measurements"
-            )
-        data = np.concatenate(blocks)
-        self._columns = {key: data[:, i] for i, key in enumerate(unique)}
-
-    def matrix(self, keys: Sequence[str], width: int) -> FloatArray:
-        data = np.stack([self._columns[key] for key in keys], axis=1)
-        return _check_matrix(data, keys, width, self._name)
+            return values[:, element : element + 1]
+        if width == 9 and values.ndim == 3 and values.shape[1:] == (3, 3):
+            return values.reshape(-1, 9)
+        return values.reshape(-1, 1) if values.ndim < 2 else values
 
 
-def _parse_rows(rows: Sequence[str], delimiter: str, column_indices: Sequence[int]) -> FloatArray:
-    """Return the requested columns of some rows, shape (n, k); empty rows are left out.
+def _read_array(content: IO[bytes], size: int, what: str) -> FloatArray:
+    """Return one array as float64; its declared size is checked, and pickles are never opened.
 
-    Raises:
-        ValueError: a cell is not a number.
-        IndexError: a row is too short.
+    Args:
+        content: the bytes of the array.
+        size: the number of these bytes.
+        what: the array, for errors.
     """
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", UserWarning)  # loadtxt warns if all rows are empty
-        values = np.loadtxt(
-            rows,
-            delimiter=delimiter,
-            usecols=column_indices,
-            ndmin=2,
-            comments=None,
-            quotechar='"',
-            dtype=np.float64,
-        )
-    return values.reshape(-1, len(column_indices))
-
-
-def _bad_cell_error(
-    name: str, rows: Sequence[str], delimiter: str, cells: Mapping[int, str], rows_before: int
-) -> InputError:
-    """Return the error of the first cell that is not a number."""
-    for number, line in enumerate(rows, start=rows_before + 1):
-        try:
-            row = next(csv.reader([line], delimiter=delimiter), [])
-        except csv.Error:
-            return InputError(
-                f"row {number} of the table {name} is not valid", "correct or remove the row"
-            )
-        if row and max(cells) >= len(row):
-            return InputError(
-                f"row {number} of the table {name} has only {len(row)} columns",
-                "correct or remove the row, which may be incomplete",
-            )
-        for at, column in cells.items():
-            try:
-                float(row[at] if row else "nan")
-            except ValueError:
-                return InputError(
-                    f"row {number} of the table {name} has {row[at][:40]!r} in the column "
-                    f"{column[:40]}, which is not a number",
-                    "correct the cell, or write nan for a missing value",
-                )
-    return InputError(
-        f"the table {name} contains text instead of numbers",
-        "write the numbers in the form 0.25 or -2.5e-3",
-    )
-
-
-def _check_matrix(data: FloatArray, keys: Sequence[str], width: int, name: str) -> FloatArray:
-    if data.shape[1] != width:
-        raise InputError(
-            f"in the file {name}, {_list_names(keys)} has {data.shape[1]} columns, but "
-            f"{width} columns are needed",
-            f"name one array with {width} columns, or {width} single columns, in the import map",
-        )
-    if data.shape[0] > MAX_ROWS:
-        raise InputError(
-            f"the file {name} has more than {MAX_ROWS} rows", "split the file, and import each part"
-        )
-    return np.ascontiguousarray(data, dtype=np.float64)
-
-
-def _list_names(names: Iterable[str]) -> str:
-    shortened = [name[:40] for name in names]
-    more = (
-        f" and {len(shortened) - MAX_LISTED_NAMES} more"
-        if len(shortened) > MAX_LISTED_NAMES
-        else ""
-    )
-    return (", ".join(shortened[:MAX_LISTED_NAMES]) or "nothing") + more
+    try:
+        version = np.lib.format.read_magic(content)
+        read_header = {
+            (1, 0): np.lib.format.read_array_header_1_0,
+            (2, 0): np.lib.format.read_array_header_2_0,
+        }[version]
+        shape, fortran_order, dtype = read_header(content)
+    except (ValueError, KeyError, SyntaxError, TokenError, TypeError, RecursionError) as error:
+        raise InputError(f"{what} is damaged or not an array", _ARRAY_REMEDY) from error
+    if dtype.hasobject:
+        raise InputError(f"{what} contains objects instead of numbers", _ARRAY_REMEDY)
+    if dtype.kind not in "biuf":
+        raise InputError(f"{what} contains {dtype} values instead of real numbers", _ARRAY_REMEDY)
+    count = 1
+    for length in shape:
+        count *= int(length)
+    if not 0 <= count * dtype.itemsize <= size:
+        raise InputError(f"{what} is shorter than its header states", _ARRAY_REMEDY)
+    data = content.read(count * dtype.itemsize)
+    if len(data) != count * dtype.itemsize:
+        raise InputError(f"{what} is shorter than its header states", _ARRAY_REMEDY)
+    values = np.frombuffer(data, dtype=dtype).reshape(shape, order="F" if fortran_order else "C")
+    return np.ascontiguousarray(values, dtype=np.float64)
 
 
 def _one_line(error: BaseException) -> str:

@@ -22,18 +22,11 @@ from gyrorig_protocol.recording.messages import (
 from gyrorig_protocol.recording.writer import Attachment
 from gyrorig_solver.data import FloatArray, IntArray
 from gyrorig_solver.data.clocks.clock_map import map_clock
-from gyrorig_solver.importers.import_map import (
-    ImportMap,
-    MappedTurn,
-    SectionFile,
-    SectionSpan,
-    check_import_map,
-)
+from gyrorig_solver.importers.import_map import check_import_map
 from gyrorig_solver.importers.import_streams import (
     AttitudeStream,
     ImuStream,
     read_streams,
-    wanted_keys,
 )
 from gyrorig_solver.importers.import_times import nanoseconds
 from gyrorig_solver.importers.imported_recording import (
@@ -45,7 +38,13 @@ from gyrorig_solver.importers.imported_recording import (
     session_event,
     write_recording,
 )
-from gyrorig_solver.importers.measurement_columns import MeasurementColumns, open_columns
+from gyrorig_solver.importers.map_columns import MapColumns, open_map_columns
+from gyrorig_solver.importers.map_keys import (
+    ImportMap,
+    MappedTurn,
+    SectionFile,
+    SectionSpan,
+)
 
 MAX_SECTION_FILE_BYTES = 1_000_000
 
@@ -61,7 +60,7 @@ class SessionPhase:
 
 
 def read_phases(
-    columns: MeasurementColumns, mapping: ImportMap, imu: ImuStream, folder: Path
+    columns: MapColumns, mapping: ImportMap, imu: ImuStream, folder: Path
 ) -> list[SessionPhase]:
     """Return the phases of a map, sorted by their first samples.
 
@@ -73,7 +72,7 @@ def read_phases(
     if mapping.sections:
         phases += _phases_from_file(mapping.sections, imu, folder)
     if mapping.static_mask:
-        at = columns.matrix([mapping.static_mask.key], 1)[:, 0]
+        at = columns.of("gyro").matrix([mapping.static_mask.key], 1)[:, 0]
         phases += _phases_from_mask(
             at, mapping.static_mask.value, mapping.static_mask.shortest_s, imu
         )
@@ -203,7 +202,7 @@ def import_measurements(
     check_recording_name(out)
     mapping = check_import_map(mapping, "import map")
     name = BoardId(board if board is not None else mapping.board)
-    columns = open_columns(source, wanted_keys(mapping))
+    columns = open_map_columns(source, mapping)
     imu, attitude = read_streams(columns, mapping)
     phases = read_phases(columns, mapping, imu, source.parent)
     arrives_in_bursts = bool(phases) and mapping.time.stamp == "arrival"

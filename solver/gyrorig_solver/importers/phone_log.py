@@ -26,7 +26,8 @@ import numpy as np
 from gyrorig_protocol.errors import InputError
 from gyrorig_solver.data import FloatArray, IntArray
 from gyrorig_solver.data.text_table import check_text_table
-from gyrorig_solver.importers.measurement_columns import MAX_ROWS, open_columns
+from gyrorig_solver.importers.measurement_columns import open_columns
+from gyrorig_solver.importers.text_columns import MAX_ROWS
 
 NS = 1_000_000_000
 MAX_LINE_CHARS = 10_000

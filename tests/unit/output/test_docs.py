@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 
 from gyrorig_protocol.documents import convert_document, parse_yaml
-from gyrorig_solver.importers.import_map import ImportMap, check_import_map
+from gyrorig_solver.importers import ImportMap, check_import_map
 
 ROOT = Path(__file__).parents[3]
 DOCS = ROOT / "docs"
 # pages that the site makes of the code
 MADE = re.findall(
-    r'^ +"([a-z-]+/[a-z]+\.md)": ', (DOCS / "site_pages.py").read_text(), re.MULTILINE
+    r'^ +"([a-z-]+/[a-z-]+\.md)": ', (DOCS / "site_pages.py").read_text(), re.MULTILINE
 )
 PAGES = [ROOT / "README.md", ROOT / "CHANGELOG.md", *sorted((ROOT / "docs").rglob("*.md"))]
 MODULES = {"gyrorig": "gyrorig_solver", "gyrorigd": "gyrorig_daemon"}
