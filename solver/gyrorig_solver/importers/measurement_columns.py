@@ -113,7 +113,7 @@ class _ArchiveColumns:
             problem = f"{names.count(array)} arrays" if array in names else "no array"
             raise InputError(
                 f"the file {self._name} contains {problem} {array!r}",
-                did_you_mean(array, set(names) - {array})
+                did_you_mean(array, {" ".join(name.split()) for name in names if name != array})
                 or f"in the import map, choose one of the arrays {list_names(names)}",
             )
         return array, int(element[2]) if element is not None else None

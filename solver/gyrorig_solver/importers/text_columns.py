@@ -288,7 +288,7 @@ def check_matrix(data: FloatArray, keys: Sequence[Column], width: int, name: str
 
 def list_names(names: Iterable[Column]) -> str:
     """Return some names for the text of an error."""
-    shortened = [str(name)[:40] for name in names]
+    shortened = [" ".join(str(name)[:40].split()) for name in names]
     more = (
         f" and {len(shortened) - MAX_LISTED_NAMES} more"
         if len(shortened) > MAX_LISTED_NAMES
