@@ -14,6 +14,8 @@ from gyrorig_solver.calibration import CalibrationDocument, parse_calibration
 
 BASE_PARAMETERS = ("bias", "scale", "nonorthogonality", "misalignment", "time_offset")
 # The causes that a correction applies, with their parameters.
+# Errors of reference attitudes that a fit contains; they have no file among the causes.
+REFERENCE_CAUSES = ("reference_smoothing",)
 APPLIED_PARAMETERS = {
     "scale_quadratic": ("scale_quadratic",),
     "scale_cubic": ("scale_cubic",),
@@ -68,6 +70,7 @@ def check_parameters(document: CalibrationDocument, name: str) -> None:
     # One file per cause. The files are not imported: they need scipy.
     folder = files("gyrorig_solver") / "model" / "causes"
     cause_ids = {file.name.removesuffix(".py") for file in folder.iterdir()}
+    cause_ids |= set(REFERENCE_CAUSES)
     for parameter in document.parameters:
         cause = parameter.partition(".")[0].partition("@")[0]
         known = (*BASE_PARAMETERS, *sorted(cause_ids))

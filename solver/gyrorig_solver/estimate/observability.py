@@ -7,7 +7,8 @@ null, whatever a solver would print. (SciPy reports success with 1.75 or 15.6 fo
 parameter of true value 0.03; see docs/explain/bound.md.)
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Self
 
 import numpy as np
 
@@ -31,6 +32,11 @@ class ObservabilityAnalysis:
     pseudo_inverse: FloatArray  # (n, n), of the information, along observable directions
     rank: int
     condition: float
+
+    def widened(self, factors: FloatArray) -> Self:
+        """Return it with each parameter's standard deviation times a factor, (n,)."""
+        covariance = self.covariance * np.outer(factors, factors)
+        return replace(self, covariance=covariance)
 
     def is_observable(self, index: int) -> bool:
         """Return whether the data's variance of a parameter exceeds the prior's share."""

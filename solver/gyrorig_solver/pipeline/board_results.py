@@ -15,6 +15,7 @@ from gyrorig_solver.data import FloatArray
 from gyrorig_solver.data.stream.gain_checks import check_gain
 from gyrorig_solver.data.stream.stream_checks import check_stream
 from gyrorig_solver.discover import CauseFindings, FitCriticism, FitExplanation
+from gyrorig_solver.discover.attitude.attitude_space import AttitudeFitSpace
 from gyrorig_solver.estimate import ConvergedFit, GyroFit
 from gyrorig_solver.findings.findings_builder import RawChecks
 from gyrorig_solver.pipeline.board_data import BoardData
@@ -34,7 +35,8 @@ class BoardExplanation:
     report_series: ReportSeries | None  # None: no residual to draw
     remarks: tuple[str, ...]
     fit_explanation: FitExplanation | None  # None where the reference is no unit's motion
-    fit: GyroFit | None = None  # where the reference gives no rate at each moment
+    fit: GyroFit | None = None  # where the reference is no unit's motion; with the named causes
+    attitude_space: AttitudeFitSpace | None = None  # where the reference is attitudes
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -111,6 +111,7 @@ def refuse_causes(extend: Sequence[str]) -> None:
     """
     if extend:
         raise UsageError(
-            "the option --extend needs a recording with a pan-tilt unit",
-            "leave out --extend, or record the board on a pan-tilt unit",
+            f"the option --extend names {', '.join(extend)}, but the reference of these recordings "
+            "gives angles and not the rate at each time, so a fit cannot show a cause",
+            "use `--extend none`, or record the board with a reference of its motion over time",
         )

@@ -47,8 +47,7 @@ def select_terms(
         UsageError: an id is not known, or no fit can show that cause.
         InputError: the metadata say what cannot be.
     """
-    for cause in extend:
-        _check_fittable(cause)
+    check_fittable(extend)
     named_causes = {fitted_term.term.cause for fitted_term in named_terms}
     requested = tuple(
         dict.fromkeys(c for c in extend if find_term(c).kind != "known" and c not in named_causes)
@@ -89,7 +88,17 @@ def _per_recording(extension: FittedTerm, recordings: int) -> list[FittedTerm]:
     ]
 
 
-def _check_fittable(cause: str) -> None:
+def check_fittable(causes: Sequence[str]) -> None:
+    """Check that a fit can contain requested causes.
+
+    Raises:
+        UsageError: a cause is not known, or no fit can show it.
+    """
+    for cause in causes:
+        _check_cause(cause)
+
+
+def _check_cause(cause: str) -> None:
     requested_term = find_term(cause)
     if requested_term.kind == "gauge":
         raise UsageError(

@@ -139,8 +139,8 @@ def series_of_attitudes(explanation: AttitudeExplanation) -> ReportSeries:
         for cause in causes
     }
     measured = np.concatenate(
-        [segment.modelled for segment in space.block_segments]
-    ) + np.concatenate(before)
+        [segment.modelled + segment.effect for segment in space.block_segments]
+    ) + np.concatenate(after)
     base = measured - np.concatenate(before)
     n, begin_s, time_s = base.shape[0], 0.0, []
     for segment in space.block_segments:

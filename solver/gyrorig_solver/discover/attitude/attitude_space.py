@@ -32,13 +32,24 @@ from gyrorig_solver.estimate import (
     FittedTerm,
     GyroFit,
     NuisanceProjector,
+    ObservabilityAnalysis,
+    ParameterLayout,
     WhitenedSignals,
     total_effect,
 )
-from gyrorig_solver.estimate.attitude.attitude_fit import solve_attitude, summarize_attitude_fit
+from gyrorig_solver.estimate.attitude.attitude_fit import (
+    AttitudeFit,
+    build_outcome,
+    solve_attitude,
+    solve_without_effects,
+    summarize_attitude_fit,
+    widened_observability,
+)
 from gyrorig_solver.estimate.attitude.attitude_projector import AttitudeProjector
 from gyrorig_solver.estimate.attitude.block_segments import AccelerometerReadings
 from gyrorig_solver.estimate.cascade import fitted_derivatives
+from gyrorig_solver.estimate.fit_summary import build_gyro_fit
+from gyrorig_solver.estimate.trust_region import NotConvergedError
 from gyrorig_solver.model import (
     RecordingContext,
     SignalState,
@@ -50,6 +61,11 @@ from gyrorig_solver.reference import AttitudeReference
 
 CONVERGED = Convergence(True, 0, 0.0)
 COARSE_DETAIL = 6.0  # half waves: most causes are as smooth
+MAX_LINEARISATIONS = 8
+CONVERGED_SIGMA = 0.01  # of the largest change of a parameter
+REMEDY_WITHOUT_CONVERGENCE = (
+    "leave out a cause, or run `gyrorig explain` to find the causes that the recording shows"
+)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -115,39 +131,97 @@ class CauseEffects(CandidateObjective):
         return tuple(replace(term, values=part) for term, part in pairs)
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class AttitudeLinearisation:
+    """A fit of gain, biases and lags, and the projector there; causes are taken out of the rates.
+
+    Around it, everything is linear. Without causes it is the base model.
+    """
+
+    recordings: tuple[AttitudeRecording, ...]
+    solved: AttitudeFit
+    projector: AttitudeProjector
+    fit: GyroFit  # without the uncertainty of the causes
+    calibration: CalibrationValues
+    covariance: FloatArray  # (13, 13), of G and the last recording's bias and lag, without causes
+    step: FloatArray  # of the projector's optimum from the fit, with its causes
+
+    @classmethod
+    def of(
+        cls,
+        recordings: Sequence[AttitudeRecording],
+        solved: AttitudeFit,
+        fitted_terms: Sequence[FittedTerm] = (),
+    ) -> Self:
+        """Return the linearisation at a fit.
+
+        Args:
+            recordings: of one board.
+            solved: the fit, from whose rates the effects of the causes are taken out.
+            fitted_terms: these causes.
+        """
+        pairs = [(recording.samples, recording.reference) for recording in recordings]
+        forces = [samples.accel_m_s2 for samples, _ in pairs]
+        projector = AttitudeProjector.at_attitude_fit(
+            solved,
+            [recording.context for recording in recordings],
+            AccelerometerReadings(
+                tuple(
+                    None if force is None else (samples.time_s, force)
+                    for (samples, _), force in zip(pairs, forces, strict=True)
+                )
+            ),
+        )
+        with_terms = projector.with_terms(fitted_terms)
+        families = [*smooth_families(projector.states), *attitude_families()]
+        inflation = with_terms.score_inflation(
+            [
+                family.whitened(projector).dense()[family.detail <= COARSE_DETAIL]
+                for family in families
+            ]
+        )
+        projector = projector.widen(np.sqrt(inflation))
+        fit = summarize_attitude_fit(solved, pairs)
+        factors = factorise(solved.solver.gain)
+        jacobian = np.eye(len(CALIBRATION_PARAMETERS))
+        jacobian[:9, :9] = factor_jacobian(factors)
+        calibration = CalibrationValues(
+            np.concatenate([factors.as_vector(), solved.solver.estimate[9:]]),
+            np.array([fit.std.get(name, np.nan) for name in CALIBRATION_PARAMETERS]),
+            jacobian,
+        )
+        size = projector.best_step().size
+        step = projector.with_terms(fitted_terms).best_step()[:size]
+        covariance = widened_observability(solved).covariance
+        return cls(tuple(recordings), solved, projector, fit, calibration, covariance, step)
+
+
 class AttitudeFitSpace(FitSpace):
     """A fit to reference attitudes and the causes in it.
 
-    It is linear in gain, biases and lags about the fit of the base model, so that no cause hides
-    rates from the gain. The noise is the reference's: no cause of the board hides in it.
+    It is linear in gain, biases and lags about a fit, so that no cause hides rates from the gain.
+    `relinearised` repeats that fit without the effects of the causes. The noise is the
+    reference's: no cause of the board hides in it.
     """
 
     needs_held_out_gain = True
 
-    def __init__(
-        self,
-        base: AttitudeProjector,
-        fit: GyroFit,
-        base_calibration: CalibrationValues,
-        effects: CauseEffects | None = None,
-    ) -> None:
+    def __init__(self, at: AttitudeLinearisation, effects: CauseEffects | None = None) -> None:
         """Use `fit_attitude_space`, and `refit` for causes.
 
         Args:
-            base: the projector at the fit of the base model.
-            fit: of the base model.
-            base_calibration: of that fit.
+            at: where the fit is linear.
             effects: the fitted causes.
         """
-        self.base, self.fit, self._base_calibration = base, fit, base_calibration
-        self.terms, self.base_terms = attitude_terms(), fit.terms
-        contexts = {state.context.recording_index: state.context for state in base.states}
+        self.at, self.base, self.fit = at, at.projector, at.fit
+        self.terms, self.base_terms = attitude_terms(), at.fit.terms
+        contexts = {state.context.recording_index: state.context for state in self.base.states}
         self.recording_names = tuple(contexts[k].recording_name for k in sorted(contexts))
-        self.duration_s = float(sum(np.ptp(state.edges_s) for state in base.states))
+        self.duration_s = float(sum(np.ptp(state.edges_s) for state in self.base.states))
         self.fitted_terms = () if effects is None else effects.fitted_terms
         self.convergence = CONVERGED if effects is None else effects.convergence
         self._cost = 0.0 if effects is None else effects.cost  # relative to the base model
-        self._projector = base.with_terms(self.fitted_terms)
+        self._projector = self.base.with_terms(self.fitted_terms)
         self.observability = self._projector.analyse_observability()
 
     def projector(self, typical: bool = False) -> AttitudeProjector:
@@ -163,8 +237,43 @@ class AttitudeFitSpace(FitSpace):
         self, fitted_terms: Sequence[FittedTerm], max_evaluations: int = MAX_EVALUATIONS
     ) -> Self:
         """Return the fit with these causes."""
-        effects = CauseEffects(self.base, fitted_terms, max_evaluations)
-        return type(self)(self.base, self.fit, self._base_calibration, effects)
+        return type(self)(self.at, CauseEffects(self.base, fitted_terms, max_evaluations))
+
+    def relinearised(self) -> Self:
+        """Return the fit about the point where gain, biases, lags and causes agree.
+
+        The fit of gain, biases and lags is repeated without the effects of the causes, and the
+        causes are fitted again there, until nothing changes. The noise is that of the residual
+        without the causes.
+        """
+        space = self
+        for _ in range(MAX_LINEARISATIONS):
+            effects = {
+                segment.solver_segment: segment.effect_at_steps(
+                    total_effect(space.fitted_terms, segment.state), track.begin_s, track.end_s
+                )
+                for segment in space.base.block_segments
+                for track in [space.at.solved.solver.segments[segment.solver_segment].track]
+            }
+            solved = solve_without_effects(space.at.solved, effects)
+            at = AttitudeLinearisation.of(space.at.recordings, solved, space.fitted_terms)
+            before = space
+            space = type(self)(at, CauseEffects(at.projector, space.fitted_terms, MAX_EVALUATIONS))
+            if space._largest_change_sigma(before) < CONVERGED_SIGMA:
+                break
+        return space
+
+    def _largest_change_sigma(self, other: Self) -> float:
+        """Return the largest change of a parameter or a cause's value from another fit."""
+        std = self.observability.covariance.diagonal() + (
+            self.observability.unobservable_covariance.diagonal()
+        )
+        causes = [
+            (mine.values - before.values)[mine.free_indices]
+            for mine, before in zip(self.fitted_terms, other.fitted_terms, strict=True)
+        ]
+        change = self.at.calibration.values - other.at.calibration.values
+        return float(np.max(np.abs(np.concatenate([change, *causes])) / np.sqrt(std)))
 
     def negative_log_likelihood(self, noise_of: Self) -> float:
         """Return that of the fit, relative to the base model; there is one noise only."""
@@ -180,15 +289,73 @@ class AttitudeFitSpace(FitSpace):
         return self.fit.reduced_chi2
 
     def calibration(self) -> CalibrationValues:
-        """Return the calibration parameters of the fit, linear about the base model."""
-        base, base_step = self._base_calibration, self.base.best_step()
-        step = self._projector.best_step()[: base_step.size] - base_step
+        """Return the calibration parameters of the fit, linear about another one.
+
+        The uncertainty includes that of the causes.
+        """
+        base = self.at.calibration
+        step = self._projector.best_step()[: self.at.step.size] - self.at.step
         shift = base.propagate(last_recording_part(step, len(self.recording_names)))
-        return replace(base, values=base.values + shift)
+        return replace(base, values=base.values + shift, std=base.std * self._std_ratio())
+
+    def summarize(self, warnings: Sequence[str] = ()) -> GyroFit:
+        """Return the calibration with the causes of the fit.
+
+        Raises:
+            NotConvergedError: the fit with the causes did not converge.
+        """
+        if not self.fitted_terms:
+            return replace(self.fit, warnings=(*self.fit.warnings, *warnings))
+        if not self.convergence.converged:
+            raise NotConvergedError(self.convergence, REMEDY_WITHOUT_CONVERGENCE)
+        pairs = [(recording.samples, recording.reference) for recording in self.at.recordings]
+        base = build_outcome(self.at.solved, pairs, self.observability, self.fit.reduced_chi2)
+        step = self._projector.best_step()[: self.at.step.size] - self.at.step
+        last = last_recording_part(step, len(self.recording_names))
+        layout = ParameterLayout.of([self.fitted_terms], 1)
+        causes = [term.values[term.free_indices] for term in self.fitted_terms]
+        outcome = replace(
+            base,
+            estimate=np.concatenate([base.estimate + last, *causes]),
+            observability=self._observability_of_calibration(),
+            terms=(*base.terms, *dict.fromkeys(term.term.cause for term in self.fitted_terms)),
+            names=layout.parameter_names,
+            prior_std=layout.prior_std,
+            fitted_terms=self.fitted_terms,
+            reason_texts={
+                **base.reason_texts,
+                **{name: term.term.excitation for term in self.fitted_terms for name in term.names},
+            },
+            warnings=(*base.warnings, *warnings),
+        )
+        return build_gyro_fit(outcome, [samples for samples, _ in pairs])
+
+    def _observability_of_calibration(self) -> ObservabilityAnalysis:
+        """Return that of the fit, with the noise of the fit without causes where that is larger."""
+        size = len(CALIBRATION_PARAMETERS)
+        without = self.base.analyse_observability()
+        projected = np.diag(without.covariance)[:size]
+        stated = np.diag(self.at.covariance)
+        ratio = np.ones(len(self.observability.covariance))
+        known = (projected > 0.0) & (stated > 0.0)
+        ratio[:size][known] = np.maximum(stated[known] / projected[known], 1.0)
+        return self.observability.widened(np.sqrt(ratio))
+
+    def _std_ratio(self) -> FloatArray:
+        """Return the factor of each parameter's uncertainty by the causes in the fit, (13,)."""
+        without = self.base.analyse_observability()
+        jacobian, size = self.at.calibration.jacobian, len(CALIBRATION_PARAMETERS)
+
+        def variance(analysis: ObservabilityAnalysis) -> FloatArray:
+            covariance = (analysis.covariance + analysis.unobservable_covariance)[:size, :size]
+            return np.asarray(np.diag(jacobian @ covariance @ jacobian.T), np.float64)
+
+        ratio = variance(self.observability) / np.maximum(variance(without), 1e-300)
+        return np.sqrt(np.maximum(ratio, 1.0))
 
     def parameter_shift(self, other: Self) -> FloatArray:
         """Return the change of G and each (b, tau) from this fit to another one, (board,)."""
-        size = self.base.best_step().size
+        size = self.at.step.size
         before, after = (space._projector.best_step()[:size] for space in (self, other))
         return np.asarray(after - before, dtype=np.float64)
 
@@ -208,27 +375,4 @@ def fit_attitude_space(recordings: Sequence[AttitudeRecording]) -> AttitudeFitSp
         InputError: gyro and reference hardly overlap.
     """
     pairs = [(recording.samples, recording.reference) for recording in recordings]
-    base_fit = solve_attitude(pairs)
-    forces_read: list[tuple[FloatArray, FloatArray] | None] = []
-    for samples, _ in pairs:
-        force = samples.accel_m_s2
-        forces_read.append(None if force is None else (samples.time_s, force))
-    projector = AttitudeProjector.at_attitude_fit(
-        base_fit,
-        [recording.context for recording in recordings],
-        AccelerometerReadings(tuple(forces_read)),
-    )
-    families = [*smooth_families(projector.states), *attitude_families()]
-    inflation = projector.score_inflation(
-        [family.whitened(projector).dense()[family.detail <= COARSE_DETAIL] for family in families]
-    )
-    fit = summarize_attitude_fit(base_fit, pairs)
-    factors = factorise(base_fit.solver.gain)
-    jacobian = np.eye(len(CALIBRATION_PARAMETERS))
-    jacobian[:9, :9] = factor_jacobian(factors)
-    calibration = CalibrationValues(
-        np.concatenate([factors.as_vector(), base_fit.solver.estimate[9:]]),
-        np.array([fit.std.get(name, np.nan) for name in CALIBRATION_PARAMETERS]),
-        jacobian,
-    )
-    return AttitudeFitSpace(projector.widen(np.sqrt(inflation)), fit, calibration)
+    return AttitudeFitSpace(AttitudeLinearisation.of(recordings, solve_attitude(pairs)))

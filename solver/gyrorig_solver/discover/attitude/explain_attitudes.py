@@ -14,13 +14,15 @@ from gyrorig_solver.discover.attitude.attitude_space import (
 )
 from gyrorig_solver.discover.candidate_fits import global_p_value
 from gyrorig_solver.discover.cause_findings import CauseFindings, DependenceTest, HeldOutGain
-from gyrorig_solver.discover.cause_search import search_causes
+from gyrorig_solver.discover.cause_search import SearchResult, search_causes
 from gyrorig_solver.discover.checks.model_check import Check, JudgedModel, Verdict, judge_model
 from gyrorig_solver.discover.fit_explanation import assemble_findings
 from gyrorig_solver.discover.fitted_values import value_stds
 from gyrorig_solver.discover.held_out_gain import compare_residuals, cross_validate_causes
-from gyrorig_solver.estimate import GyroFit
-from gyrorig_solver.model import value_names
+from gyrorig_solver.estimate import GyroFit, free_term
+from gyrorig_solver.model import term_label, value_names
+
+MAX_SEARCHES = 3  # after the first one
 
 
 class NamelessCheck:
@@ -54,7 +56,7 @@ ATTITUDE_CHECKS: tuple[Check[AttitudeFitSpace], ...] = (NamelessCheck(),)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class AttitudeExplanation:
-    """Findings, the fit of the base model, and the fit with all causes for figures."""
+    """Findings, and the fit with all causes."""
 
     findings: CauseFindings
     fit: GyroFit
@@ -76,7 +78,7 @@ def explain_attitudes(
     """
     start_s = time.monotonic()
     base = fit_attitude_space(recordings)
-    model = judge_model(JudgedModel(base, search_causes(base)), ATTITUDE_CHECKS)
+    model = judge_model(JudgedModel(base, search_attitudes(base)), ATTITUDE_CHECKS)
     findings = assemble_findings(model, start_s)
     if held_out is not None:
         gain = gain_on_other_recording(model.space, held_out)
@@ -90,7 +92,51 @@ def explain_attitudes(
         ),
         *(remark for verdict in model.verdicts.values() for remark in verdict.remarks),
     ]
-    return AttitudeExplanation(findings, base.fit, model.space, tuple(remarks))
+    return AttitudeExplanation(findings, model.space.summarize(), model.space, tuple(remarks))
+
+
+def search_attitudes(base: AttitudeFitSpace) -> SearchResult[AttitudeFitSpace]:
+    """Search for causes, and repeat the search where the fit contains what was found.
+
+    A large cause increases the residual, from which the noise is estimated, and it moves the gain,
+    about which the search is linear. Both are right only after the fit contains the cause.
+    """
+    result = search_causes(base)
+    for _ in range(MAX_SEARCHES):
+        if not result.space.fitted_terms:
+            break
+        labels = _labels(result.space)
+        result = search_causes(result.space.relinearised())
+        if _labels(result.space) == labels:
+            return result
+    if result.space.fitted_terms:
+        space = result.space.relinearised()
+        return replace(result, space=space, projector=space.projector())
+    return replace(result, space=base, projector=base.projector())
+
+
+def _labels(space: AttitudeFitSpace) -> list[str]:
+    return [term_label(fitted_term.term) for fitted_term in space.fitted_terms]
+
+
+def extend_attitudes(
+    space: AttitudeFitSpace, causes: Sequence[str]
+) -> tuple[AttitudeFitSpace, tuple[str, ...]]:
+    """Return the fit with requested causes, and a remark for each that it cannot contain."""
+    added, remarks = list(space.fitted_terms), []
+    states = space.base.states
+    for cause in dict.fromkeys(causes):
+        if cause in (fitted_term.term.cause for fitted_term in added):
+            continue
+        term = space.terms[cause]
+        reasons = [term.reason_not_testable(state) for state in states]
+        if all(reason is not None for reason in reasons):
+            remarks.append(f"the cause {cause} was not fitted: {reasons[0]}")
+            continue
+        added.append(free_term(term))
+    if len(added) == len(space.fitted_terms):
+        return space, tuple(remarks)
+    return space.refit(added).relinearised(), tuple(remarks)
 
 
 def gain_on_other_recording(

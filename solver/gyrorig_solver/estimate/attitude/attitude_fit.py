@@ -13,19 +13,25 @@ frequencies. Above, its low-pass and the smoothing of the reference differ (meas
 +1 to +2 % at 5 Hz, +3 to +4 % at 8 Hz, -4 to +6 % at 14 Hz).
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from gyrorig_protocol.errors import InputError
+from gyrorig_solver.data import FloatArray
 from gyrorig_solver.data.samples import GyroSamples
 from gyrorig_solver.estimate.attitude.attitude_matching import AttitudeSegment, match_segments
 from gyrorig_solver.estimate.attitude.attitude_solver import AttitudeSolver, LinearisedModel
 from gyrorig_solver.estimate.fit_summary import FitOutcome, build_gyro_fit
-from gyrorig_solver.estimate.gyro_fit import FitDiagnostics, GyroFit
+from gyrorig_solver.estimate.gyro_fit import FitDiagnostics, GyroFit, RecordingFit
 from gyrorig_solver.estimate.information import PARAMETER_NAMES
-from gyrorig_solver.estimate.observability import analyse_observability
+from gyrorig_solver.estimate.observability import (
+    ObservabilityAnalysis,
+    analyse_observability,
+    analyse_scaled_observability,
+)
+from gyrorig_solver.estimate.parameter_layout import eliminate_parameters
 from gyrorig_solver.reference import AttitudeReference
 from gyrorig_solver.reference.attitude_reference import MAX_MEAN_RATE_TURN_RAD
 
@@ -34,6 +40,7 @@ DEFAULT_BAND_HZ = 5.0
 LOWER_BAND_SHARE = 0.2
 MAX_BAND_DIFFERENCE_SIGMA = 4.0
 PLOT_MOTION_RATE_RAD_S = 0.05  # for plots
+PLOT_GAP_S = 1.0  # between two recordings
 HELD_OUT_WINDOW_S = 10.0
 _NOT_CONVERGED = (
     "the fit did not converge; check that the board and the attitudes were recorded together with "
@@ -64,7 +71,6 @@ class AttitudeFit:
     linearised: LinearisedModel
     bands: _BandComparison
     band_hz: float  # lower than requested if the bands disagree
-    recording_of_segment: tuple[int, ...]  # the recording of each of the solver's segments
 
 
 def solve_attitude(
@@ -80,22 +86,53 @@ def solve_attitude(
         for recording_index, recording in enumerate(recordings)
         for match_of_track in match_segments(*recording)
     ]
-    if not matches:
-        raise InputError(
-            "the gyroscope's samples and the reference attitudes do not overlap in time",
-            "record the board and the attitudes together for at least a few seconds",
-        )
+    _check_overlap({recording_index for recording_index, _ in matches}, len(recordings))
     segments = [match_of_track for _, match_of_track in matches]
-    solver = AttitudeSolver(segments, band_hz)
+    return _solve_segments(segments, [k for k, _ in matches], band_hz, None)
+
+
+def solve_without_effects(
+    fit: AttitudeFit, effects: Mapping[int, FloatArray], band_hz: float = DEFAULT_BAND_HZ
+) -> AttitudeFit:
+    """Repeat a fit without the effects of causes.
+
+    Args:
+        fit: a fit to the same recordings.
+        effects: what the causes add to the mean rates of segments, (n, 3), by number in `fit`; the
+            other segments are left out.
+        band_hz: higher frequencies are not used.
+    """
+    numbers = sorted(effects)
+    segments = [fit.solver.segments[k] for k in numbers]
+    recordings = [fit.solver.recording_of_segment[k] for k in numbers]
+    return _solve_segments(segments, recordings, band_hz, [effects[k] for k in numbers])
+
+
+def _solve_segments(
+    segments: list[AttitudeSegment],
+    recording_of_segment: list[int],
+    band_hz: float,
+    effects: list[FloatArray] | None,
+) -> AttitudeFit:
+    solver = AttitudeSolver(segments, band_hz, recording_of_segment, effects)
     linearised = solver.run()
-    bands = _compare_bands(segments, solver, band_hz)
+    bands = _compare_bands(solver)
     if bands.limited_reasons:
         # The effect of smoothing, or of shared errors, grows with frequency.
         band_hz *= LOWER_BAND_SHARE
-        solver = AttitudeSolver(segments, band_hz)
+        solver = AttitudeSolver(segments, band_hz, recording_of_segment, effects)
         linearised = solver.run()
-    return AttitudeFit(
-        solver, linearised, bands, band_hz, tuple(recording_index for recording_index, _ in matches)
+    return AttitudeFit(solver, linearised, bands, band_hz)
+
+
+def _check_overlap(matched: set[int], count: int) -> None:
+    if len(matched) == count:
+        return
+    missing = min(set(range(count)) - matched)
+    where = "" if count == 1 else f" of recording {missing + 1}"
+    raise InputError(
+        f"the gyroscope's samples and the reference attitudes{where} do not overlap in time",
+        "record the board and the attitudes together for at least a few seconds",
     )
 
 
@@ -122,22 +159,38 @@ def summarize_attitude_fit(
     fit: AttitudeFit, recordings: Sequence[tuple[GyroSamples, AttitudeReference]]
 ) -> GyroFit:
     """Return the summary of a fit; see `fit_attitude`."""
-    solver, linearised, bands, band_hz = fit.solver, fit.linearised, fit.bands, fit.band_hz
-    information = linearised.information()
-    inflation = solver.score_inflation(linearised)
-    observability = analyse_observability(
-        information / (max(1.0, inflation) * bands.std_factor**2), PARAMETER_NAMES
-    )
+    solver = fit.solver
+    inflation = solver.score_inflation(fit.linearised)
+    observability = _recording_observability(fit, inflation, len(solver.biases) - 1)
+    outcome = build_outcome(fit, recordings, observability, inflation)
+    return build_gyro_fit(outcome, [samples for samples, _ in recordings])
+
+
+def build_outcome(
+    fit: AttitudeFit,
+    recordings: Sequence[tuple[GyroSamples, AttitudeReference]],
+    observability: ObservabilityAnalysis,
+    inflation: float,
+) -> FitOutcome:
+    """Return the outcome of a fit, with the observability of its 13 parameters.
+
+    Args:
+        fit: the fit.
+        recordings: samples and attitudes, in the order of the fit.
+        observability: of G, and of the last recording's bias and time offset.
+        inflation: variance of the scores, relative to that by the noise.
+    """
+    solver, bands = fit.solver, fit.bands
     rms_before, rms_after = _held_out_rms(solver)
-    outcome = FitOutcome(
+    return FitOutcome(
         estimate=solver.estimate,
         observability=observability,
         reduced_chi2=inflation,
-        outliers=linearised.glitches,
+        outliers=fit.linearised.glitches,
         rms_before_rad_s=rms_before,
         rms_after_rad_s=rms_after,
         reference=(
-            f"mean body rate between reference attitudes, frequencies up to {band_hz:g} Hz; "
+            f"mean body rate between reference attitudes, frequencies up to {fit.band_hz:g} Hz; "
             "G relates to the reference's body frame"
         ),
         reason_texts=REASON_TEXTS,
@@ -148,8 +201,45 @@ def summarize_attitude_fit(
             *bands.limited_reasons,
         ),
         diagnostics=_diagnostics(solver),
+        recordings=_recording_fits(fit, inflation) if len(recordings) > 1 else (),
     )
-    return build_gyro_fit(outcome, [samples for samples, _ in recordings])
+
+
+def widened_observability(fit: AttitudeFit) -> ObservabilityAnalysis:
+    """Return the observability of G, and of the last recording's bias and time offset."""
+    inflation = fit.solver.score_inflation(fit.linearised)
+    return _recording_observability(fit, inflation, len(fit.solver.biases) - 1)
+
+
+def _recording_observability(
+    fit: AttitudeFit, inflation: float, recording: int
+) -> ObservabilityAnalysis:
+    """Return the observability of G and one recording's (b, tau), with widened covariance."""
+    solver, layout = fit.solver, fit.solver.layout
+    keep = layout.index(recording)
+    information = eliminate_parameters(fit.linearised.information(), keep, layout.prior_std)
+    analysis = analyse_observability(
+        information / (max(1.0, inflation) * fit.bands.std_factor**2), PARAMETER_NAMES
+    )
+    factors = solver.variance_factors(fit.linearised)[keep] / max(1.0, inflation)
+    return analysis.widened(np.sqrt(np.maximum(factors, 1.0)))
+
+
+def _recording_fits(fit: AttitudeFit, inflation: float) -> tuple[RecordingFit, ...]:
+    fits = []
+    for k, (bias, lag_s) in enumerate(zip(fit.solver.biases, fit.solver.lags_s, strict=True)):
+        analysis = _recording_observability(fit, inflation, k)
+        std = np.sqrt(np.diag(analysis.covariance)[9:13])
+        is_observed = analysis.is_observable(12)
+        fits.append(
+            RecordingFit(
+                bias_rad_s=bias,
+                bias_std_rad_s=std[:3],
+                time_offset_s=float(lag_s) if is_observed else float("nan"),
+                time_offset_std_s=float(std[3]) if is_observed else float("nan"),
+            )
+        )
+    return tuple(fits)
 
 
 def _warnings(references: Sequence[AttitudeReference]) -> tuple[str, ...]:
@@ -162,16 +252,17 @@ def _warnings(references: Sequence[AttitudeReference]) -> tuple[str, ...]:
     )
 
 
-def _compare_bands(
-    segments: list[AttitudeSegment], solver: AttitudeSolver, band_hz: float
-) -> _BandComparison:
+def _compare_bands(solver: AttitudeSolver) -> _BandComparison:
     """Compare with a fit on a lower band: if the two differ, neither is certain to be the gain.
 
     It detects a smoothed reference, or errors that the reference shares with the gyro (the pose of
     a car: gain.xx 0.4 % at 1 Hz, 4.5 % at 5 Hz, each with 0.5 % by its own residual).
     """
-    lower = AttitudeSolver(segments, LOWER_BAND_SHARE * band_hz)
-    observability = analyse_observability(lower.run().information(), PARAMETER_NAMES)
+    band_hz = solver.band_hz
+    lower = AttitudeSolver(
+        solver.segments, LOWER_BAND_SHARE * band_hz, solver.recording_of_segment, solver.effects
+    )
+    observability = analyse_scaled_observability(lower.run().information(), solver.layout.prior_std)
     std = np.sqrt(
         np.diag(observability.covariance)[:9] + np.diag(observability.unobservable_covariance)[:9]
     )
@@ -201,7 +292,7 @@ def _held_out_rms(solver: AttitudeSolver) -> tuple[float, float]:
     for k, segment in enumerate(solver.segments):
         n = segment.track.begin_s.size
         cleaned = solver.clean_segment(k)
-        targets.append(solver.band_limit(k, cleaned.measured))
+        targets.append(solver.band_limit(k, cleaned.measured - solver.bias_of(k)))
         designs.append(np.column_stack([solver.band_limit(k, cleaned.rate), np.ones(n)]))
         window = max(1, round(HELD_OUT_WINDOW_S / segment.track.step_s))
         folds.append(np.arange(n) // window % 2)
@@ -228,9 +319,11 @@ def _held_out_rms(solver: AttitudeSolver) -> tuple[float, float]:
 def _diagnostics(solver: AttitudeSolver) -> FitDiagnostics:
     """Return the band-limited series for plots; the noise model is the binned density."""
     time_s, measured, reference, residual = [], [], [], []
+    shifts_s = _shifts_in_sequence_s(solver)
     for k, segment in enumerate(solver.segments):
         stride = max(1, int(1.0 / (4.0 * solver.band_hz * segment.track.step_s)))
-        time_s.append((0.5 * (segment.track.begin_s + segment.track.end_s))[::stride])
+        middle_s = 0.5 * (segment.track.begin_s + segment.track.end_s)
+        time_s.append((middle_s + shifts_s[solver.recording_of_segment[k]])[::stride])
         cleaned = solver.clean_segment(k)
         measured.append(solver.band_limit(k, cleaned.measured)[::stride])
         reference.append(solver.band_limit(k, cleaned.rate)[::stride])
@@ -248,3 +341,21 @@ def _diagnostics(solver: AttitudeSolver) -> FitDiagnostics:
         spectrum=spectrum.density,
         spectrum_model=spectrum.density,
     )
+
+
+def _shifts_in_sequence_s(solver: AttitudeSolver) -> FloatArray:
+    """Return what to add to each recording's times, so that the recordings follow each other."""
+    shifts, end_s = np.zeros(len(solver.biases)), 0.0
+    for k in range(len(shifts)):
+        tracks = [
+            segment.track
+            for segment, recording in zip(solver.segments, solver.recording_of_segment, strict=True)
+            if recording == k
+        ]
+        if not tracks:
+            continue
+        begin_s = min(float(track.begin_s[0]) for track in tracks)
+        if k > 0:
+            shifts[k] = end_s + PLOT_GAP_S - begin_s
+        end_s = shifts[k] + max(float(track.end_s[-1]) for track in tracks)
+    return shifts

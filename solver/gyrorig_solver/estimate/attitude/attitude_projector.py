@@ -20,6 +20,7 @@ from scipy.sparse import csc_array, csr_array
 
 from gyrorig_solver.data import FloatArray
 from gyrorig_solver.estimate.attitude.attitude_fit import AttitudeFit
+from gyrorig_solver.estimate.attitude.attitude_solver import FACTOR_CHUNK_S, MIN_CHUNKS
 from gyrorig_solver.estimate.attitude.block_segments import (
     AccelerometerReadings,
     BlockSegment,
@@ -205,7 +206,30 @@ class AttitudeProjector(NuisanceProjector):
         layout = ParameterLayout.of([self.fitted_terms], self.recording_count)
         keep = layout.index(self.recording_count - 1)
         information = eliminate_parameters(self._basis @ self._basis.T, keep, layout.prior_std)
-        return analyse_scaled_observability(information, layout.prior_std[keep])
+        analysis = analyse_scaled_observability(information, layout.prior_std[keep])
+        return analysis.widened(np.sqrt(self._variance_factors(layout.prior_std)[keep]))
+
+    def _variance_factors(self, prior_std: FloatArray) -> FloatArray:
+        """Return by how much each variance is larger than by the information, (p,).
+
+        As `AttitudeSolver.variance_factors`, from the scores of chunks of time.
+        """
+        times_s = [np.floor(times / FACTOR_CHUNK_S) for times in self._times_s()]
+        chunks = np.concatenate(
+            [
+                np.tile(t.astype(np.int64), 3) * self.recording_count + segment.recording
+                for t, segment in zip(times_s, self.block_segments, strict=True)
+            ]
+        )
+        chunks = np.unique(chunks, return_inverse=True)[1]
+        if chunks.max() < MIN_CHUNKS:
+            return np.ones(len(prior_std))
+        covariance = np.linalg.inv(self._basis @ self._basis.T + np.diag(prior_std**-2.0))
+        influence = covariance @ self._basis
+        residual = self.residual - (influence @ self.residual) @ self._basis
+        scores = np.stack([np.bincount(chunks, row * residual) for row in influence])
+        ratios = np.sum(scores**2, axis=1) / np.diag(covariance)
+        return np.asarray(np.maximum(ratios, 1.0), dtype=np.float64)
 
     def density(self, frequency_hz: FloatArray) -> FloatArray:
         """Return the smooth one-sided density of the noise, (k, 3)."""

@@ -15,9 +15,13 @@ from gyrorig_solver.estimate.attitude.attitude_matching import (
     AttitudeSegment,
     coarse_lag_s,
 )
-from gyrorig_solver.estimate.information import PARAMETER_NAMES
 from gyrorig_solver.estimate.noise.noise_model import Spectrum
-from gyrorig_solver.estimate.observability import analyse_observability, prior_std
+from gyrorig_solver.estimate.observability import analyse_scaled_observability, prior_std
+from gyrorig_solver.estimate.parameter_layout import (
+    GAIN_PARAMETERS,
+    SESSION_PARAMETERS,
+    ParameterLayout,
+)
 
 MAX_ITERATIONS = 15
 CONVERGED_SIGMA = 1e-3
@@ -29,6 +33,7 @@ MIN_PER_BIN = 80
 GLITCH_SIGMA = 8.0
 # Chunks for the variance of the score; longer than its correlation.
 CHUNK_S = 5.0
+FACTOR_CHUNK_S = 1.0  # as long as the correlation of a score: many chunks for each parameter
 MIN_CHUNKS = 8
 
 
@@ -37,13 +42,13 @@ class LinearisedModel:
     """One linearisation in the DCT domain, all segments stacked, band-limited."""
 
     residual: FloatArray  # (n, 3)
-    jacobian: FloatArray  # (n, 3, 13)
+    jacobian: FloatArray  # (n, 3, p), by G and each recording's (b, tau)
     variance: FloatArray  # (n, 3)
     regressor_noise: FloatArray  # (n, 3), variance of the estimated true rate
     glitches: int
 
     def information(self) -> FloatArray:
-        """Return J' V^-1 J minus the contribution of the regressor's noise, (13, 13)."""
+        """Return J' V^-1 J minus the contribution of the regressor's noise, (p, p)."""
         weighted = self.jacobian / self.variance[:, :, None]
         info = np.einsum("nij,nik->jk", weighted, self.jacobian)
         for i in range(3):
@@ -55,7 +60,7 @@ class LinearisedModel:
         return np.asarray(info, dtype=np.float64)
 
     def score(self) -> FloatArray:
-        """Return J' V^-1 r, shape (13,)."""
+        """Return J' V^-1 r, shape (p,)."""
         return np.asarray(
             np.einsum("nij,ni->j", self.jacobian, self.residual / self.variance), dtype=np.float64
         )
@@ -65,7 +70,7 @@ class LinearisedModel:
 class CleanedSegment:
     """One segment in time: the gyro over the reference's steps, and the reference."""
 
-    measured: FloatArray  # (n, 3)
+    measured: FloatArray  # (n, 3), without the effect of causes
     slope: FloatArray  # (n, 3), of `measured` by the lag
     rate: FloatArray  # (n, 3), body rate, without glitches
     residual: FloatArray  # (n, 3)
@@ -73,12 +78,35 @@ class CleanedSegment:
 
 
 class AttitudeSolver:
-    """The iterations of the fit."""
+    """The iterations of the fit: one gain, and a bias and a time offset of each recording."""
 
-    def __init__(self, segments: list[AttitudeSegment], band_hz: float) -> None:
-        self.segments, self.band_hz = segments, band_hz
-        self.gain, self.bias = np.eye(3), np.zeros(3)
-        self.lag_s = coarse_lag_s(segments)
+    def __init__(
+        self,
+        segments: Sequence[AttitudeSegment],
+        band_hz: float,
+        recording_of_segment: Sequence[int] | None = None,
+        effects: Sequence[FloatArray] | None = None,
+    ) -> None:
+        """Start with a coarse time offset of each recording.
+
+        Args:
+            segments: of all recordings.
+            band_hz: higher frequencies are not used.
+            recording_of_segment: number of each segment's recording; None: all of one recording.
+            effects: what causes add to each segment's mean rates, (n, 3); None: nothing.
+        """
+        self.segments, self.band_hz = tuple(segments), band_hz
+        recordings = [0] * len(segments) if recording_of_segment is None else recording_of_segment
+        self.recording_of_segment = tuple(recordings)
+        self.effects = None if effects is None else tuple(effects)
+        count = 1 + max(self.recording_of_segment)
+        self.layout = ParameterLayout.of([()], count)
+        self.gain, self.biases = np.eye(3), np.zeros((count, 3))
+        self.lags_s = np.zeros(count)
+        for k in set(self.recording_of_segment):
+            self.lags_s[k] = coarse_lag_s(
+                [s for s, r in zip(segments, recordings, strict=True) if r == k]
+            )
         self.converged = False
         frequency, self.in_band = [], []
         for segment in segments:
@@ -91,22 +119,23 @@ class AttitudeSolver:
 
     @property
     def estimate(self) -> FloatArray:
-        """G, b, tau, shape (13,)."""
-        return np.concatenate([self.gain.ravel(), self.bias, [self.lag_s]])
+        """G, and b, tau of the last recording, shape (13,)."""
+        return np.concatenate([self.gain.ravel(), self.biases[-1], self.lags_s[-1:]])
 
     def run(self) -> LinearisedModel:
         """Iterate to convergence and return the last linearisation."""
         self._initialise()
+        limit = 0.95 * MAX_LAG_S
         for _ in range(MAX_ITERATIONS):
             linearised = self.linearise()
-            inverse = analyse_observability(
-                linearised.information(), PARAMETER_NAMES
+            inverse = analyse_scaled_observability(
+                linearised.information(), self.layout.prior_std
             ).pseudo_inverse
             step = inverse @ linearised.score()
-            self.gain = self.gain + step[:9].reshape(3, 3)
-            self.bias = self.bias + step[9:12]
-            limit = 0.95 * MAX_LAG_S
-            self.lag_s = float(np.clip(self.lag_s + step[12], -limit, limit))
+            by_recording = step[GAIN_PARAMETERS:].reshape(-1, SESSION_PARAMETERS)
+            self.gain = self.gain + step[:GAIN_PARAMETERS].reshape(3, 3)
+            self.biases = self.biases + by_recording[:, :3]
+            self.lags_s = np.clip(self.lags_s + by_recording[:, 3], -limit, limit)
             sigma = np.sqrt(np.maximum(np.diag(inverse), 1e-30))
             if float(np.max(np.abs(step) / sigma)) < CONVERGED_SIGMA:
                 self.converged = True
@@ -116,17 +145,37 @@ class AttitudeSolver:
     def _initialise(self) -> None:
         """Start with least squares in the band; unexcited axes stay nominal."""
         rate = np.concatenate([segment.track.rate_rad_s for segment in self.segments])
-        measured = np.concatenate([segment.mean_rate(self.lag_s)[0] for segment in self.segments])
-        design = np.column_stack([rate, np.ones(rate.shape[0])])
-        prior_information = prior_std(("gain", "gain", "gain", "bias")) ** -2.0
-        ridge = np.diag(prior_information * float(np.var(measured - rate)))
-        nominal = np.vstack([np.eye(3), np.zeros((1, 3))])
+        measured = np.concatenate(
+            [self._measured(k, self.lag_s_of(k))[0] for k in range(len(self.segments))]
+        )
+        lengths = [segment.track.begin_s.size for segment in self.segments]
+        recording = np.repeat(self.recording_of_segment, lengths)
+        count = len(self.biases)
+        design = np.column_stack([rate, (recording[:, None] == np.arange(count)).astype(float)])
+        names = ("gain", "gain", "gain", *("bias",) * count)
+        ridge = np.diag(prior_std(names) ** -2.0 * float(np.var(measured - rate)))
+        nominal = np.vstack([np.eye(3), np.zeros((count, 3))])
         parameters = np.linalg.solve(
             design.T @ design + ridge, design.T @ measured + ridge @ nominal
         )
-        self.gain, self.bias = parameters[:3].T.copy(), parameters[3].copy()
+        self.gain, self.biases = parameters[:3].T.copy(), parameters[3:].copy()
         if abs(np.linalg.det(self.gain)) < 1e-3:
             self.gain = np.eye(3)
+
+    def bias_of(self, segment_index: int) -> FloatArray:
+        """Return the bias of a segment's recording, (3,)."""
+        return np.asarray(self.biases[self.recording_of_segment[segment_index]], np.float64)
+
+    def lag_s_of(self, segment_index: int) -> float:
+        """Return the time offset of a segment's recording."""
+        return float(self.lags_s[self.recording_of_segment[segment_index]])
+
+    def _measured(self, segment_index: int, lag_s: float) -> tuple[FloatArray, FloatArray]:
+        """Return the mean gyro rates without the effect of causes, and their slope."""
+        measured, slope = self.segments[segment_index].mean_rate(lag_s)
+        if self.effects is not None:
+            measured = measured - self.effects[segment_index]
+        return measured, slope
 
     def linearise(self) -> LinearisedModel:
         """Return residual, derivatives and noise at the current parameters."""
@@ -149,12 +198,20 @@ class AttitudeSolver:
         reference_share = 1.0 - gyro_noise / variance  # of the residual, from the reference
         rate = np.concatenate(rates) + (reference_share * residual) @ inverse.T
         regressor_noise = (gyro_noise * reference_share) @ (inverse**2).T
-        jacobian = np.zeros((residual.shape[0], 3, 13))
+        jacobian = np.zeros((residual.shape[0], 3, self.layout.size))
         for i in range(3):
             jacobian[:, i, 3 * i : 3 * i + 3] = rate
-            jacobian[:, i, 9 + i] = np.concatenate(constants)
-        # y is taken at t + tau: y moves and the model does not, so the sign is negative.
-        jacobian[:, :, 12] = -np.concatenate(slopes)
+        first = 0
+        for recording, constant, slope in zip(
+            self.recording_of_segment, constants, slopes, strict=True
+        ):
+            part = slice(first, first + constant.size)
+            first += constant.size
+            session = self.layout.index(recording)[GAIN_PARAMETERS:]
+            for i in range(3):
+                jacobian[part, i, session[i]] = constant
+            # y is taken at t + tau: y moves and the model does not, so the sign is negative.
+            jacobian[part, :, session[3]] = -slope
         return LinearisedModel(residual, jacobian, variance, regressor_noise, glitches)
 
     def clean_segment(self, segment_index: int) -> CleanedSegment:
@@ -163,8 +220,9 @@ class AttitudeSolver:
         Glitches are errors of the reference. They are removed from the rate and the residual.
         """
         segment = self.segments[segment_index]
-        measured, slope = segment.mean_rate(self.lag_s)
-        raw_residual = measured - segment.track.rate_rad_s @ self.gain.T - self.bias
+        measured, slope = self._measured(segment_index, self.lag_s_of(segment_index))
+        bias = self.bias_of(segment_index)
+        raw_residual = measured - segment.track.rate_rad_s @ self.gain.T - bias
         clipped, glitches = _clip_glitches(raw_residual, segment.track.rate_rad_s)
         rate = segment.track.rate_rad_s + (raw_residual - clipped) @ np.linalg.inv(self.gain).T
         return CleanedSegment(measured, slope, rate, clipped, glitches)
@@ -175,6 +233,20 @@ class AttitudeSolver:
         It is 1 if the noise is as stationary as the weights assume. Residuals that grow with the
         motion increase it.
         """
+        ratios = self._score_ratios(linearised, CHUNK_S)
+        return 1.0 if ratios is None else float(np.median(ratios))
+
+    def variance_factors(self, linearised: LinearisedModel) -> FloatArray:
+        """Return each parameter's variance relative to that by its information, at least 1, (p,).
+
+        The noise of a reference grows with the motion, so it is largest where the motion tells
+        most. Source: White, Econometrica 48 (1980) 817, with chunks for the correlation.
+        """
+        ratios = self._score_ratios(linearised, FACTOR_CHUNK_S)
+        return np.ones(self.layout.size) if ratios is None else np.maximum(ratios, 1.0)
+
+    def _score_ratios(self, linearised: LinearisedModel, chunk_s: float) -> FloatArray | None:
+        """Return each parameter's variance by the scores of chunks over that by the noise, (p,)."""
         scores, first = [], 0
         root = np.sqrt(linearised.variance)
         for segment, in_band in zip(self.segments, self.in_band, strict=True):
@@ -188,18 +260,16 @@ class AttitudeSolver:
                 linearised.jacobian[part] / root[part][:, :, None], step_count
             )
             product = np.einsum("tij,ti->tj", columns, white[:, :, 0])
-            length = max(1, round(CHUNK_S / segment.track.step_s))
+            length = max(1, round(chunk_s / segment.track.step_s))
             for begin in range(0, step_count - length // 2, length):
                 scores.append(product[begin : begin + length].sum(axis=0))
-        if len(scores) < 8:
-            return 1.0
+        if len(scores) < MIN_CHUNKS:
+            return None
         spread = np.asarray(scores)
         outer_products = spread.T @ spread
-        inverse = np.linalg.pinv(
-            linearised.information() + np.diag(prior_std(PARAMETER_NAMES) ** -2.0)
-        )
+        inverse = np.linalg.pinv(linearised.information() + np.diag(self.layout.prior_std**-2.0))
         robust = np.diag(inverse @ outer_products @ inverse)
-        return float(np.median(robust / np.diag(inverse)))
+        return np.asarray(robust / np.diag(inverse), dtype=np.float64)
 
     def spectrum(self) -> Spectrum:
         """Return the residual's one-sided density in bins, which is the noise model."""

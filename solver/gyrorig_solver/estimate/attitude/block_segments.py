@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from scipy.interpolate import CubicSpline
 
 from gyrorig_solver.data import FloatArray
 from gyrorig_solver.estimate.attitude.attitude_fit import AttitudeFit
@@ -39,8 +40,10 @@ class BlockSegment:
     """One segment as block means, with its signal state."""
 
     recording: int
+    solver_segment: int  # the fit's number of it
     state: AttitudeState
     measured: FloatArray  # (blocks, 3), the gyro
+    effect: FloatArray  # (blocks, 3), of the causes that the fit has taken out of the gyro's rates
     modelled: FloatArray  # (blocks, 3), G w + b of the fit
     rate: FloatArray  # (blocks, 3), of the stage, from the gyro
     slope: FloatArray  # (blocks, 3), of the gyro by the lag
@@ -54,8 +57,26 @@ class BlockSegment:
 
     @property
     def residual(self) -> FloatArray:
-        """The residual of the base model, with clipped glitches, (blocks, 3)."""
+        """The residual of gain, bias and time offset, with clipped glitches, (blocks, 3)."""
         return self.measured - self.modelled
+
+    def effect_at_steps(
+        self, effect: FloatArray, begin_s: FloatArray, end_s: FloatArray
+    ) -> FloatArray:
+        """Return block means (blocks, 3) as means over steps of the reference, (n, 3).
+
+        The integral is interpolated, so that the mean of the steps of a block is the block's.
+        """
+        edges_s = self.state.edges_s[:: self.state.instants_per_block]
+        steps = np.diff(edges_s)[:, None]
+        integral = np.concatenate([np.zeros((1, 3)), np.cumsum(effect * steps, axis=0)])
+        course = CubicSpline(edges_s, integral)
+        first, last = (np.clip(t, edges_s[0], edges_s[-1]) for t in (begin_s, end_s))
+        span_s = np.maximum(last - first, 1e-9)[:, None]
+        means = (course(last) - course(first)) / span_s
+        outside = last - first < 0.5 * (end_s - begin_s)  # less than a block at the end
+        means[outside] = effect[-1]
+        return np.asarray(means, dtype=np.float64)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -86,7 +107,7 @@ def build_block_segments(
     inverse = np.linalg.inv(solver.gain).T
     segments = []
     for k, (segment, recording) in enumerate(
-        zip(solver.segments, fit.recording_of_segment, strict=True)
+        zip(solver.segments, solver.recording_of_segment, strict=True)
     ):
         track = segment.track
         steps_per_interval = max(1, int(MAX_STEP_S / track.step_s))
@@ -97,7 +118,9 @@ def build_block_segments(
             continue
         cleaned = solver.clean_segment(k)
         n = block_count * intervals_per_block * steps_per_interval
-        rate = _group_means((cleaned.measured[:n] - solver.bias) @ inverse, steps_per_interval)
+        rate = _group_means(
+            (cleaned.measured[:n] - solver.bias_of(k)) @ inverse, steps_per_interval
+        )
         edges_s = np.append(track.begin_s[:n:steps_per_interval], track.end_s[n - 1])
         middle_s = (edges_s[:-1] + edges_s[1:]) / 2.0
         state = AttitudeState.build(
@@ -108,18 +131,27 @@ def build_block_segments(
             intervals_per_instant=1,
             bandwidth_hz=None,
             gain=solver.gain,
-            bias_rad_s=solver.bias,
+            bias_rad_s=solver.bias_of(k),
             rate_rad_s=rate,
             context=contexts[recording],
         )
-        state = replace(state, measured_force_m_s2=readings.at(recording, middle_s + solver.lag_s))
-        measured = _group_means(cleaned.measured[:n], intervals_per_block * steps_per_interval)
+        state = replace(
+            state, measured_force_m_s2=readings.at(recording, middle_s + solver.lag_s_of(k))
+        )
+        without_effect = _group_means(
+            cleaned.measured[:n], intervals_per_block * steps_per_interval
+        )
+        effect = np.zeros_like(without_effect)
+        if solver.effects is not None:
+            effect = _group_means(solver.effects[k][:n], intervals_per_block * steps_per_interval)
         segments.append(
             BlockSegment(
                 recording=recording,
+                solver_segment=k,
                 state=state,
-                measured=measured,
-                modelled=measured
+                measured=without_effect + effect,
+                effect=effect,
+                modelled=without_effect
                 - _group_means(cleaned.residual[:n], intervals_per_block * steps_per_interval),
                 rate=_group_means(rate, intervals_per_block),
                 slope=_group_means(cleaned.slope[:n], intervals_per_block * steps_per_interval),

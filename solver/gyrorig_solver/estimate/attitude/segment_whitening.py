@@ -73,7 +73,8 @@ def build_whiteners(
     rate_hz = 1.0 / step_s
     sampling = Sampling(rate_hz, 1, None, 0.0, differentiated=True)
     periodograms = [
-        Periodogram.of(segment.residual, rate_hz).band(0.0, band_hz) for segment in segments
+        Periodogram.of(segment.residual - segment.effect, rate_hz).band(0.0, band_hz)
+        for segment in segments
     ]
     noise = fit_noise_levels(bin_spectrum(periodograms), sampling)
     power, smooth, frequency = [], [], []
@@ -86,7 +87,10 @@ def build_whiteners(
         )
         frequency.append(f)
         smooth.append(noise.density(f) * rate_hz / 2.0)
-        power.append(dct(segment.residual, axis=0, norm="ortho")[: segment.in_band_count] ** 2)
+        power.append(
+            dct(segment.residual - segment.effect, axis=0, norm="ortho")[: segment.in_band_count]
+            ** 2
+        )
     level = smooth_power(np.concatenate(power) / np.concatenate(smooth), np.concatenate(frequency))
     ends = np.cumsum([segment.in_band_count for segment in segments])[:-1]
     whiteners = []
@@ -102,7 +106,7 @@ def build_whiteners(
 
 def _scale_by_scatter(segment: BlockSegment, whitener: SegmentWhitener) -> SegmentWhitener:
     """Return a whitener with the local scatter of the residual as an additional weight."""
-    white = whitener.whiten(segment.residual[None]).reshape(3, -1)
+    white = whitener.whiten((segment.residual - segment.effect)[None]).reshape(3, -1)
     power = np.mean(white**2, axis=0)
     step_s = float(segment.time_s[-1] - segment.time_s[0]) / power.size
     width = max(round(SCATTER_WINDOW_S / step_s), MIN_SCATTER_VALUES // 3)

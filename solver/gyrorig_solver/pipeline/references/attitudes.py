@@ -11,8 +11,8 @@ from gyrorig_protocol.recording.recording import Recording, times_ns
 from gyrorig_solver.data.samples import GyroSamples
 from gyrorig_solver.discover import criticise_fit
 from gyrorig_solver.discover.attitude.attitude_space import AttitudeRecording, fit_attitude_space
-from gyrorig_solver.discover.attitude.explain_attitudes import explain_attitudes
-from gyrorig_solver.estimate import FittedTerm, GyroFit, fit_attitude
+from gyrorig_solver.discover.attitude.explain_attitudes import explain_attitudes, extend_attitudes
+from gyrorig_solver.estimate import FittedTerm, GyroFit
 from gyrorig_solver.pipeline.board_data import BoardData, load_board
 from gyrorig_solver.pipeline.board_results import (
     BoardExplanation,
@@ -22,7 +22,8 @@ from gyrorig_solver.pipeline.board_results import (
 )
 from gyrorig_solver.pipeline.motion_explanation import NO_CAUSE_REMARK
 from gyrorig_solver.pipeline.recording_contexts import read_contexts
-from gyrorig_solver.pipeline.reference_kind import ReferenceKind, refuse_causes
+from gyrorig_solver.pipeline.reference_kind import ReferenceKind
+from gyrorig_solver.pipeline.term_selection import check_fittable
 from gyrorig_solver.reference import AttitudeReference, read_attitude
 from gyrorig_solver.report.report_series import series_of_attitudes
 
@@ -42,21 +43,31 @@ class AttitudeKind(ReferenceKind):
         self, data: BoardData, extend: Sequence[str] = (), named_terms: Sequence[FittedTerm] = ()
     ) -> GyroFit:
         """Calibrate a board with the attitudes; see `ReferenceKind.fit`."""
-        del named_terms
-        refuse_causes(extend)
-        return fit_attitude(
-            [
-                (samples, attitude_reference(recording, samples))
-                for recording, samples in zip(data.recordings, data.samples, strict=True)
-                if has_attitudes(recording)
-            ]
+        del named_terms  # `fit_explained` has the fit with them
+        check_fittable(extend)
+        space, remarks = extend_attitudes(
+            fit_attitude_space(load_attitude_recordings(data)), extend
         )
+        return space.summarize(remarks)
 
     def fit_criticised(self, data: BoardData, requested: Sequence[str]) -> CriticisedFit:
         """Fit a board, and test what the fit leaves; see `ReferenceKind.fit_criticised`."""
-        refuse_causes(requested)
-        space = fit_attitude_space(load_attitude_recordings(data))
-        return CriticisedFit(space.fit, None, criticism=criticise_fit(space))
+        check_fittable(requested)
+        space, remarks = extend_attitudes(
+            fit_attitude_space(load_attitude_recordings(data)), requested
+        )
+        return CriticisedFit(space.summarize(remarks), None, criticism=criticise_fit(space))
+
+    def fit_explained(
+        self, data: BoardData, requested: Sequence[str], explanation: BoardExplanation
+    ) -> CriticisedFit:
+        """Fit a board with the named causes; see `ReferenceKind.fit_explained`."""
+        space = explanation.attitude_space
+        if space is None or not requested:
+            return super().fit_explained(data, requested, explanation)
+        check_fittable(requested)
+        extended, remarks = extend_attitudes(space, requested)
+        return CriticisedFit(extended.summarize(remarks), None, explanation)
 
     def explain(self, data: BoardData, held_out: Recording | None) -> BoardExplanation:
         """Search for the causes of the residual; see `ReferenceKind.explain`."""
@@ -80,6 +91,7 @@ class AttitudeKind(ReferenceKind):
             remarks=(*left_out, *fit.warnings, *fit.limited_reasons, *remarks),
             fit_explanation=None,
             fit=fit,
+            attitude_space=explanation.space,
         )
 
 
