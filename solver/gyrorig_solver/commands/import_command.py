@@ -9,80 +9,95 @@ from gyrorig_protocol.errors import UsageError
 from gyrorig_protocol.suggestions import did_you_mean
 from gyrorig_solver.commands.project_files import project_file, project_names
 from gyrorig_solver.commands.terminal import Terminal, json_option, output_option
-from gyrorig_solver.importers import import_measurements, load_import_map
-
-_MAPPED_FORMATS = ("csv", "npz")
-_PHONE_FORMAT = "android"
+from gyrorig_solver.importers import (
+    ImportMap,
+    ImportOptions,
+    formats,
+    import_files,
+    load_import_map,
+)
 
 
 @click.command("import")
-@click.argument("kind", metavar="FORMAT")
-@click.argument("source", metavar="INPUT", type=click.Path(path_type=Path))
+@click.argument("words", metavar="[FORMAT] INPUT...", nargs=-1, required=True)
 @click.option(
     "--map",
     "map_path",
     type=click.Path(path_type=Path, dir_okay=False),
-    help="With FORMAT csv or npz: the column map (YAML); see config/imports for examples.",
+    help="Column map (YAML), for files that do not specify what their columns measure.",
 )
-@output_option("Recording to write; it must not exist.", required=True)
-@click.option("--board", help="Name of the board.  [default: from the map; PHONE for a phone]")
+@output_option("Recording to write; it must not exist.  [default: name of INPUT with .mcap]")
+@click.option("--board", help="Name of the board.  [default: from the input or the map]")
+@click.option("--sensor", help="Sensor type, for example MPU-6515, if the input does not give it.")
 @click.option(
-    "--sensor",
-    help="With FORMAT android: sensor type, for example MPU-6515 of a Nexus 5.  [default: android]",
+    "--topic",
+    "topics",
+    multiple=True,
+    help="Stream to read if the input has several, for example /imu; can be given twice.",
+)
+@click.option(
+    "--reference",
+    type=click.Path(path_type=Path),
+    help="File with reference attitudes on the same clock; the same as another INPUT.",
+)
+@click.option(
+    "--stamp",
+    type=click.Choice(["sampled", "arrival"]),
+    help="What the times of INPUT are.  [default: as found]",
 )
 @click.option(
     "--beside",
     "unit_recording",
     type=click.Path(path_type=Path, dir_okay=False),
-    help="With FORMAT android: recording of the unit that turned the phone.",
+    help="Recording of the unit that turned the device; dates the samples by the motion.",
 )
 @json_option
 @click.pass_obj
 def import_command(
     terminal: Terminal,
-    kind: str,
-    source: Path,
+    words: tuple[str, ...],
     map_path: Path | None,
-    out: Path,
+    out: Path | None,
     board: str | None,
     sensor: str | None,
+    topics: tuple[str, ...],
+    reference: Path | None,
+    stamp: str | None,
     unit_recording: Path | None,
 ) -> int:
     r"""Convert measurements of another format to a recording.
 
-    FORMAT is `csv` or `npz` (with --map), `android` for the log of a phone, or the name of a
-    column map in config/imports. With --beside, the clock of a phone is found from the motion.
-    docs/how-to/import.md describes the column map, and the page "Import map" of the
-    documentation (reference/import-map) lists all its keys.
+    INPUT is a file or folder. Its format is found by its content. Several inputs of one
+    measurement are joined on one time axis. A table or an archive needs a column map: give it
+    with --map, or give the name of a map in config/imports as FORMAT. The page
+    reference/import-map.md lists all keys of a map, docs/how-to/import.md lists the formats.
 
     \b
     Examples:
+      gyrorig import bag_folder
       gyrorig import csv drive.csv --map columns.yaml -o drive.mcap
       gyrorig import broad trial02.npz --board IMU-1 -o trial02.mcap
       gyrorig import android Gyroscope.csv --board NEXUS5 --sensor MPU-6515 -o phone.mcap
     """
-    if kind == _PHONE_FORMAT:
-        if map_path is not None:
-            raise UsageError(
-                "the format android needs no column map, so --map cannot be used with it",
-                "remove the option --map, or use the format csv",
-            )
-        from gyrorig_solver.importers.phone_import import import_phone  # noqa: PLC0415 - loads scipy
-
+    kind, sources = _format_and_sources(words)
+    mapping = _column_map(kind, map_path)
+    format_name = kind if kind in formats() else None
+    if reference is not None:
+        sources.append(reference)
+    out = out or _default_output(sources[0])
+    for source in sources:
         terminal.print_progress(f"importing {source.name}")
-        result = import_phone(source, out, board or "PHONE", sensor or "android", unit_recording)
-    else:
-        if sensor is not None or unit_recording is not None:
-            raise UsageError(
-                "the options --sensor and --beside are only for the format android, not for "
-                f"{kind}",
-                "remove these options, and give the sensor in the column map",
-            )
-        mapping = load_import_map(_column_map_path(kind, map_path))
-        terminal.print_progress(f"importing {source.name}")
-        result = import_measurements(source, mapping, out, board)
+    result = import_files(
+        sources,
+        out,
+        ImportOptions(mapping, board, sensor, topics, stamp),
+        format_name=format_name,
+        unit_recording=unit_recording,
+    )
     plain = {name: str(v) if isinstance(v, Path) else v for name, v in asdict(result).items()}
-    terminal.print_result(f"{source.name}: {result.samples} samples of {result.board}")
+    terminal.print_result(f"{sources[0].name}: {result.samples} samples of {result.board}")
+    for name, samples in result.other_boards.items():
+        terminal.print_result(f"  also        {samples} samples of {name}")
     for note in result.notes:
         terminal.print_result(f"  remark: {note}")
     terminal.print_result(f"  recording   {out}")
@@ -90,29 +105,46 @@ def import_command(
     return 0
 
 
-def _column_map_path(kind: str, map_path: Path | None) -> Path:
-    """Return the path of the column map.
+def _format_and_sources(words: tuple[str, ...]) -> tuple[str | None, list[Path]]:
+    """Return the format, if a person named it, and the inputs.
 
     Raises:
-        UsageError: the map is missing, given twice, or unknown.
+        UsageError: the format is unknown, or there is no input.
     """
-    if kind in _MAPPED_FORMATS:
-        if map_path is None:
+    known = (*formats(), *project_names("imports"))
+    first, *rest = words
+    if first in known and (rest or not Path(first).exists()):
+        if not rest:
             raise UsageError(
-                f"the format {kind} needs a column map",
-                "give a column map with --map. The folder config/imports has examples",
+                f"the format {first} is given without an input", "give the file to import"
             )
-        return map_path
+        return first, [Path(word) for word in rest]
+    is_name = not Path(first).exists() and not any(mark in first for mark in "./\\")
+    if is_name and rest:
+        raise UsageError(
+            f"the format {first!r:.40} is unknown",
+            did_you_mean(first, known) or f"choose one of the formats {', '.join(known)}",
+        )
+    return None, [Path(word) for word in words]
+
+
+def _column_map(kind: str | None, map_path: Path | None) -> ImportMap | None:
+    """Return the column map that was given or named, None if there is none.
+
+    Raises:
+        UsageError: the map is given twice or invalid.
+    """
+    if kind is None or kind in formats():
+        return load_import_map(map_path) if map_path is not None else None
     if map_path is not None:
         raise UsageError(
             f"the format {kind} has a built-in column map, so --map cannot be used with it",
             "remove the option --map, or use the format csv or npz",
         )
-    names = project_names("imports")
-    if kind not in names:
-        known = (*_MAPPED_FORMATS, _PHONE_FORMAT, *names)
-        raise UsageError(
-            f"the format {kind!r:.40} is unknown",
-            did_you_mean(kind, known) or f"choose one of the formats {', '.join(known)}",
-        )
-    return project_file("imports", f"{kind}.yaml")
+    return load_import_map(project_file("imports", f"{kind}.yaml"))
+
+
+def _default_output(source: Path) -> Path:
+    """Return the name of the recording of an input, in the working directory."""
+    stem = source.resolve().stem
+    return Path(f"{stem}-imported.mcap" if source.suffix == ".mcap" else f"{stem}.mcap")

@@ -1,188 +1,130 @@
-"""Conversion of columns to counts, nanoseconds and status bits.
+"""Conversion of the columns of a table to measured streams, by an import map.
 
-What to use when: `read_streams` for all streams of one input. The whole input is checked before
-anything is written.
+What to use when: `read_mapped_streams` for all streams and phases of one input; `turn_text` for
+the text of a known turn.
 """
 
-from dataclasses import dataclass
+import json
+from pathlib import Path
 
+import msgspec
 import numpy as np
-from scipy.optimize import isotonic_regression
 
+from gyrorig_protocol.documents import dump_yaml
 from gyrorig_protocol.errors import InputError
-from gyrorig_protocol.recording.messages import ImuStatus
-from gyrorig_solver.data import BoolArray, FloatArray, IntArray
-from gyrorig_solver.importers.import_times import (
-    device_ticks,
-    nanoseconds,
-    output_rate_metadata,
-    read_times,
-    values_at_samples,
-)
-from gyrorig_solver.importers.map_columns import MapColumns
+from gyrorig_protocol.recording.writer import Attachment
+from gyrorig_solver.data import FloatArray
 from gyrorig_solver.importers.map_keys import (
     AccelColumns,
     AttitudeColumns,
     GyroColumns,
     ImportMap,
+    MappedTurn,
+    SectionFile,
+    SectionSpan,
     TemperatureColumn,
 )
+from gyrorig_solver.importers.import_times import read_times, sample_rate
+from gyrorig_solver.importers.map_columns import MapColumns
 from gyrorig_solver.importers.matrix_attitudes import quaternions_of_matrices
+from gyrorig_solver.importers.measured_streams import (
+    AccelStream,
+    GyroStream,
+    MeasuredBoard,
+    MeasuredPhase,
+    MeasuredStreams,
+    PoseStream,
+    TemperatureStream,
+)
 from gyrorig_solver.importers.measurement_columns import MeasurementColumns
-from gyrorig_solver.importers.text_columns import list_names
 
-# Physical units become int32 counts with a scale far below the resolution of any sensor.
-GYRO_COUNT_RAD_S = 1e-7
-ACCEL_COUNT_M_S2 = 1e-6
-# int16 with this scale and offset covers -40 to 85 degC in steps of 2 mK.
-TEMPERATURE_COUNT_C = 0.002
-TEMPERATURE_OFFSET_C = 25.0
 STANDARD_GRAVITY_M_S2 = 9.80665  # the unit g, CGPM 1901
-INT32 = np.iinfo(np.int32)
+MAX_SECTION_FILE_BYTES = 1_000_000
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class ImuStream:
-    """The samples of one board, in the form of the recording."""
+def read_mapped_streams(
+    columns: MapColumns, mapping: ImportMap, source: Path
+) -> MeasuredStreams:
+    """Return the samples, the reference attitude and the phases of one input.
 
-    host_time_ns: IntArray  # (n,)
-    device_time: IntArray  # (n,), ticks
-    row: IntArray  # (n,), row number in the source, used as the sample counter
-    time_s: FloatArray  # (n,), time in the source
-    status: IntArray  # (n,)
-    temperature: IntArray  # (n,)
-    gyro: IntArray  # (n, 3)
-    accel: IntArray | None
-    metadata: dict[str, str]
-    notes: tuple[str, ...]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class AttitudeStream:
-    """Reference attitudes; missing ones are gaps."""
-
-    host_time_ns: IntArray  # (n,)
-    orientation_xyzw: FloatArray  # (n, 4)
-    standard_deviation_rad: float  # nan if the source does not specify it
-    lost: int
-    metadata: dict[str, str]  # of `gyrorig.reference`; empty if the source says nothing
-
-
-def read_streams(
-    columns: MapColumns, mapping: ImportMap
-) -> tuple[ImuStream, AttitudeStream | None]:
-    """Return the samples and the reference attitude of one input.
+    Args:
+        columns: the columns of every stream.
+        mapping: the meaning of the columns.
+        source: the input; the section list is in the same folder.
 
     Raises:
-        InputError: times decrease, a value is out of range, or there is no usable data.
+        InputError: times decrease, a section is invalid, or there is no usable data.
     """
-    source = columns.of("gyro")
-    gyro = source.matrix(mapping.gyro.keys, 3)
-    time_s = read_times(source, mapping.time, len(gyro), "gyro")
-    notes: list[str] = []
-    is_finite = np.all(np.isfinite(gyro), axis=1)
-    if is_finite.sum() < 2:
-        raise InputError(
-            f"the gyro columns {list_names(mapping.gyro.keys)} contain fewer than two rows of "
-            "numbers",
-            "correct `keys` under `gyro` in the import map",
-        )
-    if not is_finite.all():
-        notes.append(f"{int((~is_finite).sum())} rows without a gyro value were left out")
-    row = np.flatnonzero(is_finite)
-    gyro_counts = _gyro_counts(gyro[row], mapping.gyro)
-    status = np.zeros(row.size, dtype=np.int64)
-    metadata = {"uid": mapping.uid, "sensor": mapping.sensor, "link": "file"}
+    rows = columns.of("gyro")
+    gyro = rows.matrix(mapping.gyro.keys, 3)
+    time_s = read_times(rows, mapping.time, len(gyro), "gyro")
+    has_rate = mapping.time.rate_hz is not None or mapping.time.rate_key is not None
+    stream = GyroStream(
+        time_s,
+        _gyro_values(gyro, mapping.gyro),
+        scale_rad_s=mapping.gyro.scale_rad_s if mapping.gyro.unit == "counts" else None,
+        stamp=mapping.time.stamp,
+        rate_hz=sample_rate(rows, mapping.time) if has_rate else None,
+    )
+    metadata = {"uid": mapping.uid, "sensor": mapping.sensor}
     metadata |= {"model": mapping.model} if mapping.model else {}
-    metadata["gyro_scale_rad_s"] = repr(_gyro_scale(mapping.gyro))
     for key in ("full_scale_dps", "bandwidth_hz"):
         value = getattr(mapping.gyro, key)
         if value is not None:
             metadata["gyro_" + key if key == "full_scale_dps" else key] = repr(value)
-    accel = None
-    if mapping.accel:
-        accel, valid, scale = _accel_counts(columns.of("accel"), mapping.accel, time_s, row, notes)
-        status |= np.where(valid, int(ImuStatus.ACCEL_VALID), 0)
-        metadata["accel_scale_m_s2"] = repr(scale)
-    temperature = np.zeros(row.size, dtype=np.int64)
-    if mapping.temperature:
-        temperature, valid = _temperature_counts(
-            columns.of("temperature"), mapping.temperature, time_s, row, notes
-        )
-        status |= np.where(valid, int(ImuStatus.TEMPERATURE_VALID), 0)
-        metadata["temperature_scale_c"] = repr(TEMPERATURE_COUNT_C)
-        metadata["temperature_offset_c"] = repr(TEMPERATURE_OFFSET_C)
-    attitude = None
-    if mapping.attitude:
-        attitude = _attitude_stream(columns.of("attitude"), mapping.attitude, time_s, notes)
-    device_time, clock = device_ticks(mapping.time, time_s, row)
-    imu = ImuStream(
-        host_time_ns=nanoseconds(time_s[row]),
-        device_time=device_time,
-        row=row.astype(np.int64),
-        time_s=time_s[row],
-        status=status,
-        temperature=temperature,
-        gyro=gyro_counts,
-        accel=accel,
-        metadata=metadata | clock | output_rate_metadata(source, mapping.time),
-        notes=tuple(notes),
+    board = MeasuredBoard(
+        mapping.board,
+        stream,
+        _accel_stream(columns.of("accel"), mapping.accel, len(gyro)) if mapping.accel else None,
+        _temperature_stream(columns.of("temperature"), mapping.temperature, len(gyro))
+        if mapping.temperature
+        else None,
+        metadata,
     )
-    return imu, attitude
+    map_text = dump_yaml(msgspec.to_builtins(mapping))
+    return MeasuredStreams(
+        source=f"imported from {source.name}",
+        boards=(board,),
+        poses=_pose_stream(columns.of("attitude"), mapping.attitude, time_s)
+        if mapping.attitude
+        else None,
+        phases=tuple(_read_phases(rows, mapping, stream, source.parent)),
+        gravity_m_s2=mapping.gravity_m_s2,
+        attachments=(Attachment("import-map.yaml", "application/yaml", map_text.encode()),),
+    )
 
 
-def _gyro_scale(columns: GyroColumns) -> float:
-    if columns.unit == "counts" and columns.scale_rad_s is not None:
-        return columns.scale_rad_s
-    return GYRO_COUNT_RAD_S
+def _gyro_values(gyro: FloatArray, part: GyroColumns) -> FloatArray:
+    if part.unit == "counts":
+        return gyro - np.asarray(part.offset_counts)
+    gyro = gyro - np.asarray(part.zero)
+    return np.asarray(np.radians(gyro)) if part.unit == "deg/s" else gyro
 
 
-def _gyro_counts(gyro: FloatArray, columns: GyroColumns) -> IntArray:
-    if columns.unit == "counts":
-        return _whole_counts(gyro - np.asarray(columns.offset_counts), "gyro")
-    gyro = gyro - np.asarray(columns.zero)
-    rate = np.radians(gyro) if columns.unit == "deg/s" else gyro
-    return _int32_counts(rate / GYRO_COUNT_RAD_S, "gyro")
-
-
-def _accel_counts(
-    columns: MeasurementColumns,
-    part: AccelColumns,
-    time_s: FloatArray,
-    row: IntArray,
-    notes: list[str],
-) -> tuple[IntArray, BoolArray, float]:
-    """Return counts at the samples of the gyro, their validity, and the scale."""
+def _accel_stream(columns: MeasurementColumns, part: AccelColumns, rows: int) -> AccelStream:
     values = columns.matrix(part.keys, 3)
-    base_s = read_times(columns, part.time, len(values), "accel") if part.time else None
-    picked = values_at_samples(values, base_s, time_s, row, "accel", notes)
-    valid = np.all(np.isfinite(picked), axis=1)
-    zero = np.asarray(part.offset_counts if part.unit == "counts" else part.zero)
-    picked = np.where(valid[:, None], picked - zero, 0.0)
-    if part.unit == "counts" and part.scale_m_s2 is not None:
-        return _whole_counts(picked, "accel"), valid, part.scale_m_s2
-    unit = STANDARD_GRAVITY_M_S2 if part.unit == "g" else 1.0
-    return _int32_counts(picked * unit / ACCEL_COUNT_M_S2, "accel"), valid, ACCEL_COUNT_M_S2
+    if part.time is None:
+        _check_rows(len(values), rows, "accel")
+    time_s = read_times(columns, part.time, len(values), "accel") if part.time else None
+    if part.unit == "counts":
+        return AccelStream(values - np.asarray(part.offset_counts), time_s, part.scale_m_s2)
+    values = values - np.asarray(part.zero)
+    return AccelStream(values * (STANDARD_GRAVITY_M_S2 if part.unit == "g" else 1.0), time_s)
 
 
-def _temperature_counts(
-    columns: MeasurementColumns,
-    part: TemperatureColumn,
-    time_s: FloatArray,
-    row: IntArray,
-    notes: list[str],
-) -> tuple[IntArray, BoolArray]:
-    values = columns.matrix([part.key], 1)
-    base_s = read_times(columns, part.time, len(values), "temperature") if part.time else None
-    picked = values_at_samples(values, base_s, time_s, row, "temperature", notes)[:, 0]
-    counts = np.rint((picked - TEMPERATURE_OFFSET_C) / TEMPERATURE_COUNT_C)
-    valid = np.isfinite(counts) & (np.abs(counts) <= 32767)
-    return np.where(valid, counts, 0.0).astype(np.int64), valid
+def _temperature_stream(
+    columns: MeasurementColumns, part: TemperatureColumn, rows: int
+) -> TemperatureStream:
+    values = columns.matrix([part.key], 1)[:, 0]
+    if part.time is None:
+        _check_rows(len(values), rows, "temperature")
+    time_s = read_times(columns, part.time, len(values), "temperature") if part.time else None
+    return TemperatureStream(values, time_s)
 
 
-def _attitude_stream(
-    columns: MeasurementColumns, part: AttitudeColumns, time_s: FloatArray, notes: list[str]
-) -> AttitudeStream:
+def _pose_stream(
+    columns: MeasurementColumns, part: AttitudeColumns, time_s: FloatArray
+) -> PoseStream:
     if part.order == "matrix":
         values = quaternions_of_matrices(columns.matrix(part.keys, 9))
     else:
@@ -193,15 +135,9 @@ def _attitude_stream(
         values = values * [-1.0, -1.0, -1.0, 1.0]
     if part.time is not None:
         base_s = read_times(columns, part.time, len(values), "attitude")
-    elif len(values) == time_s.size:
-        base_s = time_s
     else:
-        raise InputError(
-            f"the attitude columns have {len(values)} rows, but the gyro columns have "
-            f"{time_s.size}",
-            "give the times of the attitudes with the key `time` under `attitude` in the import "
-            "map",
-        )
+        _check_rows(len(values), time_s.size, "attitude")
+        base_s = time_s
     is_finite = np.all(np.isfinite(values), axis=1)
     length = np.linalg.norm(values[is_finite], axis=1)
     if not length.size:
@@ -216,48 +152,117 @@ def _attitude_stream(
             f"length {length[wrong]:.4g}, but a quaternion of an attitude has the length 1",
             "give the four columns of the quaternion as `keys` under `attitude` in the import map",
         )
-    std_rad = float(np.radians(part.std_deg)) if part.std_deg else float("nan")
-    ordered_s = np.asarray(isotonic_regression(base_s[is_finite]).x, dtype=np.float64)
-    back = int(np.sum(np.diff(base_s[is_finite]) < 0.0))
-    if back:
-        notes.append(
-            f"attitude: {back} times go back to before the row above them; they are replaced by "
-            "the mean of the times that are not in order, so that the rows stay in order"
-        )
-    return AttitudeStream(
-        nanoseconds(ordered_s if back else base_s[is_finite]),
+    return PoseStream(
+        base_s[is_finite],
         values[is_finite] / length[:, None],
-        std_rad,
+        float(np.radians(part.std_deg)) if part.std_deg else float("nan"),
+        part.time.stamp if part.time else "sampled",
+        part.time.rate_hz if part.time else None,
         int((~is_finite).sum()),
-        _reference_metadata(part),
     )
 
 
-def _reference_metadata(part: AttitudeColumns) -> dict[str, str]:
-    """Return what the map says about the stamps of the attitudes."""
-    if part.time is None or part.time.stamp != "arrival":
-        return {}
-    rate = {} if part.time.rate_hz is None else {"rate_hz": repr(part.time.rate_hz)}
-    return {"stamp": "arrival", **rate}
-
-
-def _whole_counts(values: FloatArray, quantity: str) -> IntArray:
-    if np.any(values != np.rint(values)):
+def _check_rows(rows: int, gyro_rows: int, stream: str) -> None:
+    if rows != gyro_rows:
+        columns = f"the {stream} columns have {rows} rows"
         raise InputError(
-            f"the {quantity} columns contain numbers with decimals, so they cannot be counts",
-            f"correct `unit` under `{quantity}` in the import map",
+            f"{columns}, but the gyro columns have {gyro_rows}",
+            f"give the times of the {stream} rows with the key `time` under `{stream}` in the "
+            "import map",
         )
-    return _int32_counts(values, quantity)
 
 
-def _int32_counts(counts: FloatArray, quantity: str) -> IntArray:
-    whole = np.rint(counts)
-    out_of_range = ~((whole >= INT32.min) & (whole <= INT32.max))
-    if out_of_range.any():
-        at = int(np.argmax(out_of_range.any(axis=1)))
+def turn_text(turn: MappedTurn) -> str:
+    """Return the text of a known turn in a recording."""
+    return json.dumps(
+        {
+            "axis": [float(v) for v in turn.axis],
+            "angle_rad": float(np.radians(turn.angle_deg)),
+            "std_rad": float(np.radians(turn.std_deg)),
+        }
+    )
+
+
+def _read_phases(
+    columns: MeasurementColumns, mapping: ImportMap, gyro: GyroStream, folder: Path
+) -> list[MeasuredPhase]:
+    phases = [MeasuredPhase("static", span) for span in mapping.static]
+    phases += [MeasuredPhase("turn", turn.over, turn_text(turn)) for turn in mapping.turns]
+    if mapping.sections:
+        phases += _phases_from_file(mapping.sections, folder)
+    if mapping.static_mask:
+        at = columns.matrix([mapping.static_mask.key], 1)[:, 0]
+        phases += _phases_from_mask(
+            at, mapping.static_mask.value, mapping.static_mask.shortest_s, gyro
+        )
+    return phases
+
+
+def _phases_from_file(sections: SectionFile, folder: Path) -> list[MeasuredPhase]:
+    path = folder / sections.name
+    try:
+        if path.stat().st_size > MAX_SECTION_FILE_BYTES:
+            raise InputError(
+                f"the section list {path.name} is too large, because it has more than 1 MB",
+                "give the correct file as `name` under `sections` in the import map",
+            )
+        document = json.loads(path.read_bytes())
+    except OSError as error:
         raise InputError(
-            f"the {quantity} value of sample {at + 1} is too large for any sensor, so its unit of "
-            "measure is probably wrong",
-            f"correct `unit` under `{quantity}` in the import map",
+            f"the import map names {sections.name} as the file with the list of sections, but "
+            f"{path} cannot be read ({error.strerror})",
+            "put this file into the folder of the input file, or correct `name` under `sections` "
+            "in the import map",
+        ) from error
+    except (ValueError, RecursionError) as error:
+        raise InputError(
+            f"the section list {path.name} is not valid JSON "
+            f"({' '.join(str(error).split())[:160]})",
+            "correct the section list",
+        ) from error
+    phases = [
+        MeasuredPhase("static", _span_from_file(document, key, path.name))
+        for key in sections.static
+    ]
+    for key, turn in sections.turns.items():
+        span = _span_from_file(document, key, path.name)
+        phases.append(MeasuredPhase("turn", span, turn_text(turn)))
+    return phases
+
+
+def _span_from_file(document: object, key: str, name: str) -> SectionSpan:
+    entry = document.get(key) if isinstance(document, dict) else None
+    if entry is None:
+        raise InputError(
+            f"the section list {name} contains no section {key!r}",
+            "give the name of an existing section in the import map",
         )
-    return np.asarray(whole, dtype=np.int64)
+    start, end = (entry.get("start"), entry.get("end")) if isinstance(entry, dict) else (None, None)
+    if not isinstance(start, int) or not isinstance(end, int) or not 0 <= start < end:
+        raise InputError(
+            f"the section {key!r} in the section list {name} does not have a start below its end",
+            "write the row numbers `start` and `end` of the section as whole numbers from 0, "
+            "with `start` below `end`",
+        )
+    return SectionSpan(start=start, end=end)
+
+
+def _phases_from_mask(
+    mask: FloatArray, value: float, shortest_s: float, gyro: GyroStream
+) -> list[MeasuredPhase]:
+    if mask.size < len(gyro.values):
+        raise InputError(
+            f"the column of `static_mask`, which marks the rests, has {mask.size} rows, but the "
+            f"gyro columns have {len(gyro.values)}",
+            "correct `key` under `static_mask` in the import map: its column needs one row per "
+            "gyro sample",
+        )
+    row = np.flatnonzero(np.all(np.isfinite(gyro.values), axis=1))
+    still = np.concatenate([[False], mask[row] == value, [False]])
+    edges = np.flatnonzero(np.diff(still.astype(np.int8)))
+    phases = []
+    for first, end in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
+        if gyro.time_s[row[end - 1]] - gyro.time_s[row[first]] >= shortest_s:
+            span = SectionSpan(start=int(row[first]), end=int(row[end - 1]) + 1)
+            phases.append(MeasuredPhase("static", span))
+    return phases

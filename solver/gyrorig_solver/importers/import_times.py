@@ -23,14 +23,33 @@ def read_times(columns: MeasurementColumns, base: TimeBase, rows: int, stream: s
     if base.key is not None:
         time_s = columns.matrix([base.key], 1)[:, 0] * UNIT_S[base.unit]
     else:
-        time_s = np.arange(rows) / _sample_rate(columns, base)
+        time_s = np.arange(rows) / sample_rate(columns, base)
     time_s = time_s + base.origin_s
     if time_s.size != rows:
         raise InputError(
             f"the {stream} columns have {rows} rows, but their time column has {time_s.size}",
             f"correct `key` under `time` of the {stream} in the import map",
         )
-    invalid = ~np.isfinite(time_s) | (time_s < 0.0) | (time_s >= MAX_TIME_S)
+    check_times(time_s, 0, stream, may_repeat=base.stamp == "arrival")
+    return np.asarray(time_s, dtype=np.float64)
+
+
+def check_times(
+    time_s: FloatArray, origin_ns: int, stream: str, *, may_repeat: bool = False
+) -> None:
+    """Check that times increase and are in the range of a recording.
+
+    Args:
+        time_s: since `origin_ns`, shape (n,).
+        origin_ns: the time of the recording at which they are 0.
+        stream: the name of the stream; the times of an "attitude" can go back a little.
+        may_repeat: neighbours can be equal, as arrival times are.
+
+    Raises:
+        InputError: they are not.
+    """
+    absolute_s = time_s + origin_ns * 1e-9
+    invalid = ~np.isfinite(time_s) | (absolute_s < 0.0) | (absolute_s >= MAX_TIME_S)
     if invalid.any():
         at = int(np.argmax(invalid))
         raise InputError(
@@ -43,7 +62,7 @@ def read_times(columns: MeasurementColumns, base: TimeBase, rows: int, stream: s
     if stream == "attitude":
         not_increasing = (np.maximum.accumulate(time_s) - time_s)[1:] > MAX_DISORDER_S
     else:
-        not_increasing = step < 0.0 if base.stamp == "arrival" else step <= 0.0
+        not_increasing = step < 0.0 if may_repeat else step <= 0.0
     if not_increasing.any():
         at = int(np.argmax(not_increasing)) + 1
         raise InputError(
@@ -51,10 +70,14 @@ def read_times(columns: MeasurementColumns, base: TimeBase, rows: int, stream: s
             "sort the rows and remove duplicates. If the times are arrival times, set "
             "`stamp: arrival` under `time` in the import map",
         )
-    return np.asarray(time_s, dtype=np.float64)
 
 
-def _sample_rate(columns: MeasurementColumns, base: TimeBase) -> float:
+def sample_rate(columns: MeasurementColumns, base: TimeBase) -> float:
+    """Return the rate that a map or an array gives.
+
+    Raises:
+        InputError: it is not a positive number.
+    """
     rate = base.rate_hz
     if base.rate_key is not None:
         rate = float(columns.matrix([base.rate_key], 1)[0, 0])
@@ -66,28 +89,42 @@ def _sample_rate(columns: MeasurementColumns, base: TimeBase) -> float:
     return rate
 
 
-def output_rate_metadata(columns: MeasurementColumns, base: TimeBase) -> dict[str, str]:
-    """Return `odr_hz` if the source specifies a rate."""
-    has_rate = base.rate_hz is not None or base.rate_key is not None
-    return {"odr_hz": repr(_sample_rate(columns, base))} if has_rate else {}
-
-
-def device_ticks(
-    base: TimeBase, time_s: FloatArray, row: IntArray
-) -> tuple[IntArray, dict[str, str]]:
-    """Return device ticks and their frequency.
-
-    A single time column is both host and device time. If it contains arrival times, the sample
-    count is the device clock: the lower envelope of the arrivals gives its true rate.
-    """
-    if base.stamp == "arrival":
-        return row.astype(np.int64), {"tick_hz": repr(base.rate_hz), "counter_bits": "64"}
-    return nanoseconds(time_s[row]), {"tick_hz": "1000000000.0", "counter_bits": "64"}
-
-
 def nanoseconds(time_s: FloatArray) -> IntArray:
     """Return seconds as whole nanoseconds."""
     return np.asarray(np.rint(time_s * 1e9), dtype=np.int64)
+
+
+def seconds_since(stamp_ns: IntArray, origin_ns: int) -> FloatArray:
+    """Return whole nanoseconds as seconds since an origin, exact to a nanosecond for 50 days."""
+    return np.asarray((stamp_ns - origin_ns) * 1e-9, dtype=np.float64)
+
+
+def order_by_time(
+    stamp_ns: IntArray, values: FloatArray, stream: str, notes: list[str]
+) -> tuple[IntArray, FloatArray]:
+    """Return the finite rows sorted by their times, each time once; appends to `notes`.
+
+    Args:
+        stamp_ns: times, shape (n,).
+        values: shape (n, k).
+        stream: the name of the stream, for the notes.
+        notes: what was changed.
+    """
+    is_finite = np.all(np.isfinite(values), axis=1)
+    stamp_ns, values = stamp_ns[is_finite], values[is_finite]
+    order = np.argsort(stamp_ns, kind="stable")
+    reversals = int(np.sum(np.diff(stamp_ns) < 0))
+    stamp_ns, values = stamp_ns[order], values[order]
+    is_new = np.concatenate([[True], np.diff(stamp_ns) > 0])[: stamp_ns.size]
+    if reversals:
+        notes.append(
+            f"{stream}: {reversals} timestamps decreased; the samples were sorted by timestamp"
+        )
+    if not is_new.all():
+        notes.append(
+            f"{stream}: {int((~is_new).sum())} samples with a duplicate timestamp were left out"
+        )
+    return stamp_ns[is_new], values[is_new]
 
 
 def values_at_samples(

@@ -1,23 +1,38 @@
 """Writing an imported recording: samples and other messages in the order of time.
 
-What to use when: `write_recording` once everything in the input has been checked. After an
-error no file remains.
+What to use when: `write_streams` for measured streams of any format. The whole input is checked
+before anything is written; after an error no file remains.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
-from gyrorig_protocol.errors import GyrorigError, UsageError
+import numpy as np
+
+from gyrorig_protocol.errors import GyrorigError, InputError, UsageError
 from gyrorig_protocol.identity import BoardId
 from gyrorig_protocol.recording.messages import (
+    REFERENCE_ATTITUDE_TOPIC,
     SESSION_EVENT_TOPIC,
     EventKind,
     Message,
+    ReferenceAttitude,
     SessionEvent,
 )
 from gyrorig_protocol.recording.writer import Attachment, RecordingWriter
-from gyrorig_solver.importers.import_streams import ImuStream
+from gyrorig_solver.data import IntArray
+from gyrorig_solver.data.clocks.clock_map import map_clock
+from gyrorig_solver.importers.beside_unit import UnitRecording
+from gyrorig_solver.importers.map_keys import SectionSpan
+from gyrorig_solver.importers.import_times import check_times, nanoseconds
+from gyrorig_solver.importers.measured_streams import (
+    MeasuredBoard,
+    MeasuredPhase,
+    MeasuredStreams,
+    PoseStream,
+)
+from gyrorig_solver.importers.sample_encoding import ImuStream, encode_samples
 
 NS = 1_000_000_000
 SAMPLES_PER_WRITE = 4096  # about ten seconds of a fast board between two other messages
@@ -30,7 +45,7 @@ class ImportSummary:
     """Counts of what an import wrote and left out."""
 
     path: Path
-    board: str
+    board: str  # the first one
     samples: int
     duration_s: float
     attitudes: int
@@ -38,14 +53,134 @@ class ImportSummary:
     rests: int
     turns: int
     notes: tuple[str, ...]
+    other_boards: dict[str, int]  # their samples
 
 
-def check_recording_name(out: Path) -> None:
-    """Check the suffix of a recording.
+@dataclass(frozen=True, slots=True)
+class _SessionPhase:
+    """One phase of the session, from one sample of the first board to another."""
+
+    name: str  # "static" or "turn"
+    first_sample: int  # index of the first sample in it
+    last_sample: int  # of the last sample in it
+    text: str = ""
+
+
+def write_streams(
+    streams: MeasuredStreams, out: Path, unit_recording: Path | None = None
+) -> ImportSummary:
+    """Write measured streams as a recording.
+
+    Args:
+        streams: with at least one gyro.
+        out: the recording, `.mcap`; it must not exist.
+        unit_recording: of the unit that turned the first board: the time of its samples is found
+            from the motion, and the new recording also has the unit's messages.
 
     Raises:
-        UsageError: it is not `.mcap`.
+        InputError: there is no gyro, or a stream is invalid; nothing is written.
+        UsageError: `out` exists or is not named `.mcap`, or two boards have one name.
+        MachineError: the disk cannot be written; no file remains.
     """
+    _check_recording_name(out)
+    boards = [board for board in streams.boards if board.gyro is not None]
+    if not boards:
+        raise InputError(
+            f"the data {streams.source} contain no rates of a gyroscope",
+            "give, in addition, a file with the rates of the gyroscope",
+        )
+    encoded = {BoardId(b.name): encode_samples(b, streams.origin_ns) for b in boards}
+    if unit_recording is not None:
+        return _write_beside(streams, encoded, boards, out, unit_recording)
+    first = next(iter(encoded.values()))
+    phases = sorted(
+        (_find_samples(phase, first) for phase in streams.phases),
+        key=lambda phase: (phase.first_sample, phase.last_sample),
+    )
+    arrives_in_bursts = bool(phases) and boards[0].gyro and boards[0].gyro.stamp == "arrival"
+    sample_ns = _sample_times_ns(first) if arrives_in_bursts else first.host_time_ns
+    poses_ns, pose_notes = _pose_times_ns(streams)
+    starts = [int(imu.host_time_ns[0]) for imu in encoded.values()]
+    lowest_ns = min(int(sample_ns.min()), *starts, *poses_ns[:1].tolist())
+    notes = [*streams.notes, *(note for imu in encoded.values() for note in imu.notes)]
+    notes += pose_notes
+    shift_ns = NS * -int(min(0, lowest_ns) // NS)
+    if shift_ns:
+        notes.append(f"all times are shifted by {shift_ns // NS} s, so that none is below 0")
+        encoded = {
+            name: replace(imu, host_time_ns=imu.host_time_ns + shift_ns)
+            for name, imu in encoded.items()
+        }
+    metadata = {"gyrorig": _session_metadata(out)}
+    metadata |= {f"gyrorig.board.{name}": imu.metadata for name, imu in encoded.items()}
+    if streams.poses is not None and streams.poses.stamp == "arrival":
+        rate_hz = streams.poses.rate_hz
+        rate = {} if rate_hz is None else {"rate_hz": repr(rate_hz)}
+        metadata["gyrorig.reference"] = {"stamp": "arrival", **rate}
+    if streams.gravity_m_s2 is not None:
+        metadata["gyrorig.site"] = {"gravity_m_s2": repr(streams.gravity_m_s2)}
+    messages = _session_messages([streams.source, *notes], encoded, phases, sample_ns + shift_ns)
+    if streams.poses is not None:
+        messages += _pose_messages(streams.poses, poses_ns + shift_ns)
+    path = _write_recording(out, metadata, streams.attachments, encoded, messages)
+    return _summary(path, encoded, streams.poses, phases, notes)
+
+
+def _write_beside(
+    streams: MeasuredStreams,
+    encoded: dict[BoardId, ImuStream],
+    boards: Sequence[MeasuredBoard],
+    out: Path,
+    unit_recording: Path,
+) -> ImportSummary:
+    unit = UnitRecording(unit_recording)
+    (name, imu), *others = encoded.items()
+    if others or streams.poses is not None or streams.phases:
+        raise UsageError(
+            f"the data {streams.source} contain more than one board or a separate reference, but "
+            "a unit's recording can date only the samples of one board",
+            "import without --beside, or choose one board with --topic",
+        )
+    gyro = boards[0].gyro
+    if gyro is None:
+        raise ValueError("a board without a gyro")
+    unit.check_name(name)
+    dated, note = unit.date_samples(imu, gyro)
+    notes = [*streams.notes, *imu.notes, note]
+    metadata = unit.metadata(out.stem) | {f"gyrorig.board.{name}": imu.metadata}
+    messages = unit.copied_messages() + [
+        _session_event(unit.start_ns, EventKind.NOTE, "program", text)
+        for text in (streams.source, *notes)
+    ]
+    attachments = (*unit.attachments(), *streams.attachments)
+    encoded = {name: dated}
+    path = _write_recording(out, metadata, attachments, encoded, messages)
+    return _summary(path, encoded, None, [], notes)
+
+
+def _summary(
+    path: Path,
+    encoded: Mapping[BoardId, ImuStream],
+    poses: PoseStream | None,
+    phases: Sequence[_SessionPhase],
+    notes: Sequence[str],
+) -> ImportSummary:
+    (name, first), *others = encoded.items()
+    return ImportSummary(
+        path=path,
+        board=str(name),
+        samples=first.row.size,
+        duration_s=float(first.time_s[-1] - first.time_s[0]),
+        attitudes=poses.time_s.size if poses else 0,
+        attitudes_lost=poses.lost if poses else 0,
+        rests=sum(phase.name == "static" for phase in phases),
+        turns=sum(phase.name == "turn" for phase in phases),
+        notes=tuple(notes),
+        other_boards={str(other): imu.row.size for other, imu in others},
+    )
+
+
+def _check_recording_name(out: Path) -> None:
     if out.suffix != ".mcap":
         raise UsageError(
             f"the name of the output file {out.name} does not end in .mcap",
@@ -53,7 +188,7 @@ def check_recording_name(out: Path) -> None:
         )
 
 
-def imported_session_metadata(out: Path) -> dict[str, str]:
+def _session_metadata(out: Path) -> dict[str, str]:
     """Return the session metadata of an import; its time starts at the source's origin."""
     return {
         "session": out.stem,
@@ -63,22 +198,113 @@ def imported_session_metadata(out: Path) -> dict[str, str]:
     }
 
 
-def session_event(at_ns: int, kind: EventKind, phase: str, text: str) -> DatedMessage:
-    """Return an event of the session with its times."""
+def _find_samples(phase: MeasuredPhase, imu: ImuStream) -> _SessionPhase:
+    """Return a phase by the samples that it contains.
+
+    Raises:
+        InputError: it is outside the data, or contains too few samples.
+    """
+    span: SectionSpan = phase.span
+    first, end = 0, imu.row.size
+    if span.start is not None:
+        first = int(np.searchsorted(imu.row, span.start))
+    if span.end is not None:
+        if span.end > imu.row[-1] + 1:
+            raise InputError(
+                f"a {phase.name} section ends at row {span.end}, but the last row of the data is "
+                f"row {imu.row[-1]}",
+                "correct the end of the section in the import map",
+            )
+        end = int(np.searchsorted(imu.row, span.end))
+    if span.begin_s is not None:
+        first = max(first, int(np.searchsorted(imu.time_s, span.begin_s)))
+    if span.end_s is not None:
+        end = min(end, int(np.searchsorted(imu.time_s, span.end_s)))
+    if end - first < 2:
+        raise InputError(
+            f"the {phase.name} section from sample {first} to sample {end} contains too few "
+            "samples",
+            "correct the start and the end of the section in the import map",
+        )
+    return _SessionPhase(phase.name, first, end - 1, phase.text)
+
+
+def _sample_times_ns(imu: ImuStream) -> IntArray:
+    """Return the sample times of samples that arrived in bursts, by the offline clock map.
+
+    Phases go from sample to sample. By arrival times, a phase would lose the samples that
+    were taken before the first one of them arrived.
+    """
+    first_ns = imu.host_time_ns[0]
+    clock = map_clock(
+        imu.device_time,
+        np.asarray((imu.host_time_ns - first_ns) * 1e-9, dtype=np.float64),
+        float(imu.metadata["tick_hz"]),
+        int(imu.metadata["counter_bits"]),
+    )
+    return np.asarray(first_ns + nanoseconds(clock.time_s), dtype=np.int64)
+
+
+def _session_messages(
+    notes: Sequence[str],
+    encoded: Mapping[BoardId, ImuStream],
+    phases: Sequence[_SessionPhase],
+    sample_ns: IntArray,
+) -> list[DatedMessage]:
+    """Return the session's events; `sample_ns` are the sample times of the first board."""
+    start = min(int(sample_ns[0]), *(int(imu.host_time_ns[0]) for imu in encoded.values()))
+    end = max(int(sample_ns[-1]), *(int(imu.host_time_ns[-1]) for imu in encoded.values()))
+    messages = [_session_event(start, EventKind.PHASE_BEGIN, "program", "")]
+    messages += [_session_event(start, EventKind.NOTE, "program", text) for text in notes]
+    for phase in phases:
+        begin_ns, end_ns = int(sample_ns[phase.first_sample]), int(sample_ns[phase.last_sample])
+        messages.append(_session_event(begin_ns, EventKind.PHASE_BEGIN, phase.name, phase.text))
+        messages.append(_session_event(end_ns, EventKind.PHASE_END, phase.name, phase.text))
+    messages.append(_session_event(end, EventKind.PHASE_END, "program", ""))
+    return messages
+
+
+def _session_event(at_ns: int, kind: EventKind, phase: str, text: str) -> DatedMessage:
     return at_ns, at_ns, SESSION_EVENT_TOPIC, SessionEvent(at_ns, kind, phase, text)
 
 
-def write_recording(
+def _pose_times_ns(streams: MeasuredStreams) -> tuple[IntArray, list[str]]:
+    """Return the stamps of the attitudes, in order, and a note on what was changed."""
+    poses = streams.poses
+    if poses is None:
+        return np.empty(0, dtype=np.int64), []
+    check_times(poses.time_s, streams.origin_ns, "attitude")
+    back = int(np.sum(np.diff(poses.time_s) < 0.0))
+    if not back:
+        return streams.origin_ns + nanoseconds(poses.time_s), []
+    from scipy.optimize import isotonic_regression  # noqa: PLC0415 - slow to load
+
+    ordered_s = np.asarray(isotonic_regression(poses.time_s).x, dtype=np.float64)
+    note = (
+        f"attitude: {back} times go back to before the row above them; they are replaced by "
+        "the mean of the times that are not in order, so that the rows stay in order"
+    )
+    return streams.origin_ns + nanoseconds(ordered_s), [note]
+
+
+def _pose_messages(poses: PoseStream, time_ns: IntArray) -> list[DatedMessage]:
+    messages: list[DatedMessage] = []
+    for at_ns, q in zip(time_ns.tolist(), poses.orientation_xyzw.tolist(), strict=True):
+        message = ReferenceAttitude(
+            at_ns, (q[0], q[1], q[2], q[3]), poses.standard_deviation_rad, 0
+        )
+        messages.append((at_ns, at_ns, REFERENCE_ATTITUDE_TOPIC, message))
+    return messages
+
+
+def _write_recording(
     out: Path,
     metadata: Mapping[str, Mapping[str, str]],
     attachments: Sequence[Attachment],
-    board: BoardId,
-    imu: ImuStream,
+    encoded: Mapping[BoardId, ImuStream],
     messages: Iterable[DatedMessage],
 ) -> Path:
     """Write a recording and return its path.
-
-    The messages are in the order of their log times.
 
     Raises:
         UsageError: `out` exists.
@@ -86,13 +312,12 @@ def write_recording(
     """
     writer = RecordingWriter(out, metadata, attachments)
     try:
-        pending = iter(messages)
+        pending = iter(sorted(messages, key=lambda dated: dated[0]))
         next_message = next(pending, None)
-        for start in range(0, imu.row.size, SAMPLES_PER_WRITE):
-            part = slice(start, start + SAMPLES_PER_WRITE)
+        for name, imu, part in _parts_by_time(encoded):
             last_ns = int(imu.host_time_ns[part][-1])
             writer.write_imu_array(
-                board,
+                name,
                 host_time_ns=imu.host_time_ns[part],
                 publish_time_ns=None,
                 device_time=imu.device_time[part],
@@ -112,6 +337,18 @@ def write_recording(
     except (GyrorigError, ValueError, KeyboardInterrupt):
         writer.path.unlink(missing_ok=True)
         raise
+
+
+def _parts_by_time(
+    encoded: Mapping[BoardId, ImuStream],
+) -> list[tuple[BoardId, ImuStream, slice]]:
+    """Return parts of the boards' samples, ordered by the times of their last samples."""
+    parts = [
+        (name, imu, slice(start, start + SAMPLES_PER_WRITE))
+        for name, imu in encoded.items()
+        for start in range(0, imu.row.size, SAMPLES_PER_WRITE)
+    ]
+    return sorted(parts, key=lambda part: int(part[1].host_time_ns[part[2]][-1]))
 
 
 def _write_message(writer: RecordingWriter, dated: DatedMessage) -> None:

@@ -1,8 +1,8 @@
 """Columns of numbers from text tables and NumPy archives.
 
-What to use when: `open_columns` selects the reader by the file name; `matrix` returns float64
-arrays. The size of the input is checked before it is loaded, nothing in it is executed, and
-every defect is an `InputError` of one line.
+What to use when: `open_columns` selects the reader by the content of the file; `matrix` returns
+float64 arrays. The size of the input is checked before it is loaded, nothing in it is executed,
+and every defect is an `InputError` of one line.
 """
 
 import lzma
@@ -63,7 +63,9 @@ def open_columns(
     if path.stat().st_size == 0:
         raise InputError(f"the file {path.name} is empty", "give a file with measurements")
     try:
-        if path.suffix == ".npz":
+        with path.open("rb") as file:
+            is_archive = file.read(2) == b"PK"
+        if is_archive or path.suffix == ".npz":
             return _ArchiveColumns(path, wanted)
         check_text_table(path)
         return TextColumns(path, wanted, layout or TableLayout())

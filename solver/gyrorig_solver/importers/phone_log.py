@@ -17,8 +17,9 @@ up, z out of the screen).
 
 import math
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -26,11 +27,13 @@ import numpy as np
 from gyrorig_protocol.errors import InputError
 from gyrorig_solver.data import FloatArray, IntArray
 from gyrorig_solver.data.text_table import check_text_table
+from gyrorig_solver.importers.import_times import order_by_time
 from gyrorig_solver.importers.measurement_columns import open_columns
 from gyrorig_solver.importers.text_columns import MAX_ROWS
 
 NS = 1_000_000_000
 MAX_LINE_CHARS = 10_000
+MAX_TAG_LINES = 1000  # before the first line with a tag
 MAX_STAMP_NS = 2**62
 # Sample periods of a phone's sensor, 4 to 2000 Hz. Time units differ by a factor of 1000.
 PERIOD_RANGE_S = (0.0005, 0.25)
@@ -86,7 +89,7 @@ def read_phone_log(path: Path) -> PhoneLog:
     check_text_table(path)
     notes: list[str] = []
     first = _first_line(path)
-    if _is_tagged(path):
+    if has_sensor_tags(_lines(path)):
         layout, gyro, accel = _read_tagged(path, notes)
     elif re.search(r"[A-Za-z]", first):
         layout, gyro, accel = _read_table(path, first, notes)
@@ -125,14 +128,13 @@ def _lines(path: Path) -> Iterator[str]:
                 )
 
 
-def _is_tagged(path: Path) -> bool:
+def has_sensor_tags(lines: Iterable[str]) -> bool:
+    """Return whether one of the first lines begins with a sensor's tag and has its values."""
     known = {*GYRO_TAGS, *UNCALIBRATED_GYRO_TAGS, *ACCEL_TAGS, *UNCALIBRATED_ACCEL_TAGS}
-    for count, line in enumerate(_lines(path)):
+    for line in islice(lines, MAX_TAG_LINES):
         fields = _fields(line)
         if len(fields) >= 6 and fields[0].lower() in known and _number(fields[2]) is not None:
             return True
-        if count > 1000:
-            break
     return False
 
 
@@ -297,24 +299,11 @@ def _sort_by_stamp(
     stamp_ns: IntArray, values: FloatArray, sensor: str, notes: list[str]
 ) -> _StampedValues:
     """Return the samples sorted by timestamp, each timestamp once."""
-    is_finite = np.all(np.isfinite(values), axis=1)
-    stamp_ns, values = stamp_ns[is_finite], values[is_finite]
-    order = np.argsort(stamp_ns, kind="stable")
-    reversals = int(np.sum(np.diff(stamp_ns) < 0))
-    stamp_ns, values = stamp_ns[order], values[order]
-    is_new = np.concatenate([[True], np.diff(stamp_ns) > 0])
-    if reversals:
-        notes.append(
-            f"{sensor}: {reversals} timestamps decreased; the samples were sorted by timestamp"
-        )
-    if not is_new.all():
-        notes.append(
-            f"{sensor}: {int((~is_new).sum())} samples with a duplicate timestamp were left out"
-        )
-    if is_new.sum() < 3:
+    stamp_ns, values = order_by_time(stamp_ns, values, sensor, notes)
+    if stamp_ns.size < 3:
         raise InputError(
-            f"the {sensor} samples in the phone's log have only {int(is_new.sum())} "
+            f"the {sensor} samples in the phone's log have only {stamp_ns.size} "
             "different timestamps",
             "record a log of at least a minute, with an app that writes the time of every sample",
         )
-    return stamp_ns[is_new], values[is_new]
+    return stamp_ns, values

@@ -17,11 +17,20 @@ from gyrorig_solver import cli
 from gyrorig_solver.calibration import parse_calibration
 from gyrorig_solver.check import compare_with_truth
 from gyrorig_solver.data.samples import load_samples
+from gyrorig_solver.importers import ImportOptions, ImportSummary, import_files
 from gyrorig_solver.importers.phone_clock import GRID_S, find_phone_clock
-from gyrorig_solver.importers.phone_import import import_phone
 from gyrorig_solver.importers.phone_log import read_phone_log
 
 ROOT = Path(__file__).parents[3]
+
+
+def import_phone(
+    log: Path, out: Path, board: str, sensor: str, unit_recording: Path | None = None
+) -> ImportSummary:
+    options = ImportOptions(board=board, sensor=sensor)
+    return import_files([log], out, options, format_name="android", unit_recording=unit_recording)
+
+
 RATE = np.array([[0.1, -0.2, 0.3], [0.11, -0.21, 0.31], [0.12, -0.22, 0.32], [0.13, 0.0, -1.0]])
 STAMPS = 8_902_708_000_000 + np.array([0, 5_000_000, 10_100_000, 15_000_000])
 

@@ -1,0 +1,181 @@
+"""Conversion of measured streams to counts, nanoseconds and status bits.
+
+What to use when: `encode_samples` for the samples of one board. The whole board is checked before
+anything is written.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from gyrorig_protocol.errors import InputError
+from gyrorig_protocol.recording.messages import ImuStatus
+from gyrorig_solver.data import BoolArray, FloatArray, IntArray
+from gyrorig_solver.importers.import_times import check_times, nanoseconds, values_at_samples
+from gyrorig_solver.importers.measured_streams import (
+    AccelStream,
+    GyroStream,
+    MeasuredBoard,
+    TemperatureStream,
+)
+
+# Physical units become int32 counts with a scale far below the resolution of any sensor.
+GYRO_COUNT_RAD_S = 1e-7
+ACCEL_COUNT_M_S2 = 1e-6
+# int16 with this scale and offset covers -40 to 85 degC in steps of 2 mK.
+TEMPERATURE_COUNT_C = 0.002
+TEMPERATURE_OFFSET_C = 25.0
+INT32 = np.iinfo(np.int32)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ImuStream:
+    """The samples of one board, in the form of the recording."""
+
+    host_time_ns: IntArray  # (n,)
+    device_time: IntArray  # (n,), ticks
+    row: IntArray  # (n,), row number in the source, used as the sample counter
+    time_s: FloatArray  # (n,), time in the source
+    status: IntArray  # (n,)
+    temperature: IntArray  # (n,)
+    gyro: IntArray  # (n, 3)
+    accel: IntArray | None
+    metadata: dict[str, str]
+    notes: tuple[str, ...]
+
+
+def encode_samples(board: MeasuredBoard, origin_ns: int) -> ImuStream:
+    """Return the samples of a board in the form of a recording.
+
+    Args:
+        board: has a gyro stream.
+        origin_ns: the time of the recording at which the board's times are 0.
+
+    Raises:
+        InputError: times decrease, a value is out of range, or there is no usable data.
+    """
+    gyro = board.gyro
+    if gyro is None:
+        raise ValueError(f"the board {board.name} has no gyro")
+    check_times(gyro.time_s, origin_ns, "gyro", may_repeat=gyro.stamp == "arrival")
+    notes: list[str] = []
+    is_finite = np.all(np.isfinite(gyro.values), axis=1)
+    if is_finite.sum() < 2:
+        raise InputError(
+            f"the gyro data of {board.name} contain fewer than two rows of numbers",
+            "import data with the rates of a gyroscope, or correct `keys` under `gyro` in the "
+            "import map",
+        )
+    if not is_finite.all():
+        notes.append(f"{int((~is_finite).sum())} rows without a gyro value were left out")
+    row = np.flatnonzero(is_finite)
+    status = np.zeros(row.size, dtype=np.int64)
+    metadata = {"uid": "unknown", "link": "file"} | board.metadata
+    metadata["gyro_scale_rad_s"] = repr(gyro.scale_rad_s or GYRO_COUNT_RAD_S)
+    accel = None
+    if board.accel:
+        accel, valid = _accel_counts(board.accel, origin_ns, gyro.time_s, row, notes)
+        status |= np.where(valid, int(ImuStatus.ACCEL_VALID), 0)
+        metadata["accel_scale_m_s2"] = repr(board.accel.scale_m_s2 or ACCEL_COUNT_M_S2)
+    temperature = np.zeros(row.size, dtype=np.int64)
+    if board.temperature:
+        temperature, valid = _temperature_counts(
+            board.temperature, origin_ns, gyro.time_s, row, notes
+        )
+        status |= np.where(valid, int(ImuStatus.TEMPERATURE_VALID), 0)
+        metadata["temperature_scale_c"] = repr(TEMPERATURE_COUNT_C)
+        metadata["temperature_offset_c"] = repr(TEMPERATURE_OFFSET_C)
+    device_time, clock = _device_ticks(gyro, origin_ns, row)
+    if gyro.rate_hz is not None:
+        clock["odr_hz"] = repr(gyro.rate_hz)
+    return ImuStream(
+        host_time_ns=origin_ns + nanoseconds(gyro.time_s[row]),
+        device_time=device_time,
+        row=row.astype(np.int64),
+        time_s=gyro.time_s[row],
+        status=status,
+        temperature=temperature,
+        gyro=_gyro_counts(gyro, row),
+        accel=accel,
+        metadata=metadata | clock,
+        notes=tuple(notes),
+    )
+
+
+def _device_ticks(
+    gyro: GyroStream, origin_ns: int, row: IntArray
+) -> tuple[IntArray, dict[str, str]]:
+    """Return device ticks and their frequency.
+
+    Times of sampling are both host and device time. If the times are arrival times, the sample
+    count is the device clock: the lower envelope of the arrivals gives its true rate.
+    """
+    if gyro.stamp == "arrival":
+        if gyro.rate_hz is None:
+            raise ValueError("arrival times need the nominal sample rate")
+        return row.astype(np.int64), {"tick_hz": repr(gyro.rate_hz), "counter_bits": "64"}
+    ticks = origin_ns + nanoseconds(gyro.time_s[row])
+    return ticks, {"tick_hz": "1000000000.0", "counter_bits": "64"}
+
+
+def _gyro_counts(gyro: GyroStream, row: IntArray) -> IntArray:
+    if gyro.scale_rad_s is not None:
+        return _whole_counts(gyro.values[row], "gyro")
+    return _int32_counts(gyro.values[row] / GYRO_COUNT_RAD_S, "gyro")
+
+
+def _accel_counts(
+    accel: AccelStream, origin_ns: int, time_s: FloatArray, row: IntArray, notes: list[str]
+) -> tuple[IntArray, BoolArray]:
+    """Return counts at the samples of the gyro, and their validity."""
+    picked = values_at_samples(
+        accel.values, _checked(accel.time_s, origin_ns, "accel"), time_s, row, "accel", notes
+    )
+    valid = np.all(np.isfinite(picked), axis=1)
+    picked = np.where(valid[:, None], picked, 0.0)
+    if accel.scale_m_s2 is not None:
+        return _whole_counts(picked, "accel"), valid
+    return _int32_counts(picked / ACCEL_COUNT_M_S2, "accel"), valid
+
+
+def _temperature_counts(
+    stream: TemperatureStream,
+    origin_ns: int,
+    time_s: FloatArray,
+    row: IntArray,
+    notes: list[str],
+) -> tuple[IntArray, BoolArray]:
+    values = stream.temperature_degc[:, None]
+    base_s = _checked(stream.time_s, origin_ns, "temperature")
+    picked = values_at_samples(values, base_s, time_s, row, "temperature", notes)[:, 0]
+    counts = np.rint((picked - TEMPERATURE_OFFSET_C) / TEMPERATURE_COUNT_C)
+    valid = np.isfinite(counts) & (np.abs(counts) <= 32767)
+    return np.where(valid, counts, 0.0).astype(np.int64), valid
+
+
+def _checked(time_s: FloatArray | None, origin_ns: int, stream: str) -> FloatArray | None:
+    if time_s is not None:
+        check_times(time_s, origin_ns, stream)
+    return time_s
+
+
+def _whole_counts(values: FloatArray, quantity: str) -> IntArray:
+    if np.any(values != np.rint(values)):
+        raise InputError(
+            f"the {quantity} columns contain numbers with decimals, so they cannot be counts",
+            f"correct `unit` under `{quantity}` in the import map",
+        )
+    return _int32_counts(values, quantity)
+
+
+def _int32_counts(counts: FloatArray, quantity: str) -> IntArray:
+    whole = np.rint(counts)
+    out_of_range = ~((whole >= INT32.min) & (whole <= INT32.max))
+    if out_of_range.any():
+        at = int(np.argmax(out_of_range.any(axis=1)))
+        raise InputError(
+            f"the {quantity} value of sample {at + 1} is too large for any sensor, so its unit of "
+            "measure is probably wrong",
+            f"correct `unit` under `{quantity}` in the import map",
+        )
+    return np.asarray(whole, dtype=np.int64)
