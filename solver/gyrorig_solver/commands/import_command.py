@@ -96,6 +96,7 @@ def import_command(
     )
     plain = {name: str(v) if isinstance(v, Path) else v for name, v in asdict(result).items()}
     terminal.print_result(f"{sources[0].name}: {result.samples} samples of {result.board}")
+    terminal.print_result(f"  {result.source}")
     for name, samples in result.other_boards.items():
         terminal.print_result(f"  also        {samples} samples of {name}")
     for note in result.notes:

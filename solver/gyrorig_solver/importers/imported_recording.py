@@ -53,6 +53,7 @@ class ImportSummary:
     rests: int
     turns: int
     notes: tuple[str, ...]
+    source: str  # what was read, for example "imported from log.csv"
     other_boards: dict[str, int]  # their samples
 
 
@@ -123,7 +124,7 @@ def write_streams(
     if streams.poses is not None:
         messages += _pose_messages(streams.poses, poses_ns + shift_ns)
     path = _write_recording(out, metadata, streams.attachments, encoded, messages)
-    return _summary(path, encoded, streams.poses, phases, notes)
+    return _summary(path, streams, encoded, phases, notes)
 
 
 def _write_beside(
@@ -155,27 +156,29 @@ def _write_beside(
     attachments = (*unit.attachments(), *streams.attachments)
     encoded = {name: dated}
     path = _write_recording(out, metadata, attachments, encoded, messages)
-    return _summary(path, encoded, None, [], notes)
+    return _summary(path, streams, encoded, [], notes)
 
 
 def _summary(
     path: Path,
+    streams: MeasuredStreams,
     encoded: Mapping[BoardId, ImuStream],
-    poses: PoseStream | None,
     phases: Sequence[_SessionPhase],
     notes: Sequence[str],
 ) -> ImportSummary:
+    poses = streams.poses
     (name, first), *others = encoded.items()
     return ImportSummary(
         path=path,
         board=str(name),
         samples=first.row.size,
-        duration_s=float(first.time_s[-1] - first.time_s[0]),
+        duration_s=int(first.host_time_ns[-1] - first.host_time_ns[0]) * 1e-9,
         attitudes=poses.time_s.size if poses else 0,
         attitudes_lost=poses.lost if poses else 0,
         rests=sum(phase.name == "static" for phase in phases),
         turns=sum(phase.name == "turn" for phase in phases),
         notes=tuple(notes),
+        source=streams.source,
         other_boards={str(other): imu.row.size for other, imu in others},
     )
 
