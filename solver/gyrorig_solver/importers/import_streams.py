@@ -14,6 +14,8 @@ from gyrorig_protocol.documents import dump_yaml
 from gyrorig_protocol.errors import InputError
 from gyrorig_protocol.recording.writer import Attachment
 from gyrorig_solver.data import FloatArray
+from gyrorig_solver.importers.import_times import read_times, sample_rate
+from gyrorig_solver.importers.map_columns import MapColumns
 from gyrorig_solver.importers.map_keys import (
     AccelColumns,
     AttitudeColumns,
@@ -24,8 +26,6 @@ from gyrorig_solver.importers.map_keys import (
     SectionSpan,
     TemperatureColumn,
 )
-from gyrorig_solver.importers.import_times import read_times, sample_rate
-from gyrorig_solver.importers.map_columns import MapColumns
 from gyrorig_solver.importers.matrix_attitudes import quaternions_of_matrices
 from gyrorig_solver.importers.measured_streams import (
     AccelStream,
@@ -42,9 +42,7 @@ STANDARD_GRAVITY_M_S2 = 9.80665  # the unit g, CGPM 1901
 MAX_SECTION_FILE_BYTES = 1_000_000
 
 
-def read_mapped_streams(
-    columns: MapColumns, mapping: ImportMap, source: Path
-) -> MeasuredStreams:
+def read_mapped_streams(columns: MapColumns, mapping: ImportMap, source: Path) -> MeasuredStreams:
     """Return the samples, the reference attitude and the phases of one input.
 
     Args:
@@ -96,7 +94,7 @@ def read_mapped_streams(
 
 def _gyro_values(gyro: FloatArray, part: GyroColumns) -> FloatArray:
     if part.unit == "counts":
-        return gyro - np.asarray(part.offset_counts)
+        return np.asarray(gyro - np.asarray(part.offset_counts))
     gyro = gyro - np.asarray(part.zero)
     return np.asarray(np.radians(gyro)) if part.unit == "deg/s" else gyro
 

@@ -24,8 +24,8 @@ from gyrorig_protocol.recording.writer import Attachment, RecordingWriter
 from gyrorig_solver.data import IntArray
 from gyrorig_solver.data.clocks.clock_map import map_clock
 from gyrorig_solver.importers.beside_unit import UnitRecording
-from gyrorig_solver.importers.map_keys import SectionSpan
 from gyrorig_solver.importers.import_times import check_times, nanoseconds
+from gyrorig_solver.importers.map_keys import SectionSpan
 from gyrorig_solver.importers.measured_streams import (
     MeasuredBoard,
     MeasuredPhase,

@@ -13,8 +13,8 @@ import msgspec
 from gyrorig_protocol.errors import InputError, UsageError
 from gyrorig_solver.data import FloatArray
 from gyrorig_solver.importers.import_map import check_import_map
-from gyrorig_solver.importers.map_keys import ImportMap
 from gyrorig_solver.importers.imported_recording import ImportSummary, write_streams
+from gyrorig_solver.importers.map_keys import ImportMap
 from gyrorig_solver.importers.measured_streams import (
     MeasuredBoard,
     MeasuredPhase,
