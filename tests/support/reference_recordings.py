@@ -148,8 +148,12 @@ def record_turns(
     angle_std_deg: float = 0.2,
     revolutions: float = 1.0,
     repeats: int = 2,
+    static_over_turns: bool = False,
 ) -> Path:
-    """Write a recording with turns by known angles about each axis, both ways, and rests."""
+    """Write a recording with turns by known angles about each axis, both ways, and rests.
+
+    With `static_over_turns`, the map marks the turns as rests.
+    """
     rng = np.random.default_rng(700 + seed)
     parts, turns, static, at = [np.zeros((600, 3))], [], [{"start": 0, "end": 600}], 600
     for k in range(6 * repeats):
@@ -167,7 +171,8 @@ def record_turns(
                 "over": {"start": at, "end": at + 800},
             }
         )
-        static.append({"start": at + 800, "end": at + 1200})
+        first = at if static_over_turns else at + 800
+        static.append({"start": first, "end": at + (800 if static_over_turns else 1200)})
         parts += [rate, np.zeros((400, 3))]
         at += 1200
     rate = np.concatenate(parts)

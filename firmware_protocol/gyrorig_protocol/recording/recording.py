@@ -8,7 +8,7 @@ for the number of samples.
 """
 
 import hashlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -54,6 +54,7 @@ from gyrorig_protocol.recording.messages import (
 from gyrorig_protocol.recording.standard_messages import Diagnostics, Log
 
 RecordArray = npt.NDArray[np.void]
+FIRST_TIME_OF_DAY_NS = 946_684_800 * 10**9  # 2000-01-01; an earlier time counts from an origin
 _DIGEST_BLOCK_BYTES = 1 << 20  # per step
 
 M = TypeVar("M", bound=Message)
@@ -151,6 +152,13 @@ class Topic:
         return int(gaps[gaps > 0].sum())
 
 
+def in_order_of_time(recordings: "Sequence[Recording]") -> "tuple[Recording, ...]":
+    """Return recordings in the order of time, or as given if a time of day is not known."""
+    if not all(recording.has_time_of_day for recording in recordings):
+        return tuple(recordings)
+    return tuple(sorted(recordings, key=lambda recording: recording.start_ns))
+
+
 @dataclass(frozen=True, eq=False)
 class Recording:
     """One recording. Do not write to its arrays, because they are shared."""
@@ -203,6 +211,11 @@ class Recording:
     def start_ns(self) -> int:
         """First log time."""
         return self.span_ns[0]
+
+    @property
+    def has_time_of_day(self) -> bool:
+        """Whether the times count from the epoch; an import may count from its own origin."""
+        return self.start_ns >= FIRST_TIME_OF_DAY_NS
 
     @property
     def end_ns(self) -> int:

@@ -20,9 +20,17 @@ from gyrorig_protocol.errors import InputError
 from gyrorig_solver.data import FloatArray
 from gyrorig_solver.data.samples import GyroSamples
 from gyrorig_solver.estimate.fit_summary import FitOutcome, build_gyro_fit
-from gyrorig_solver.estimate.gyro_fit import GyroFit
+from gyrorig_solver.estimate.gyro_fit import GyroFit, RecordingFit
 from gyrorig_solver.estimate.information import PARAMETER_NAMES
-from gyrorig_solver.estimate.observability import analyse_observability
+from gyrorig_solver.estimate.observability import (
+    analyse_observability,
+    analyse_scaled_observability,
+)
+from gyrorig_solver.estimate.parameter_layout import (
+    SESSION_PARAMETERS,
+    ParameterLayout,
+    eliminate_parameters,
+)
 from gyrorig_solver.model import cross_matrix
 from gyrorig_solver.numerics.distributions import chi2_quantile
 from gyrorig_solver.reference import TimeInterval, TurnReference
@@ -51,6 +59,7 @@ REASON_TEXTS = {
 class _IntegratedTurn:
     """One turn as the gyro measured it."""
 
+    recording: int
     turn: KnownTurn
     integral: FloatArray  # (3,), rad, with the bias
     span_s: float
@@ -72,12 +81,13 @@ def fit_turns(
         InputError: there is no turn or no rest, or they have no samples.
     """
     integrated_turns = [
-        _integrate(samples, turn) for samples, reference in recordings for turn in reference.turns
+        _integrate(k, samples, turn)
+        for k, (samples, reference) in enumerate(recordings)
+        for turn in reference.turns
     ]
     rests = [
-        _rest_mean(samples, interval)
+        np.array([_rest_mean(samples, interval) for interval in reference.rests]).reshape(-1, 3)
         for samples, reference in recordings
-        for interval in reference.rests
     ]
     if not integrated_turns:
         raise InputError(
@@ -85,18 +95,20 @@ def fit_turns(
             "write the axis and angle of each turn under `turns` in the import map, and import the "
             "data again",
         )
-    if not rests:
+    if not any(map(len, rests)):
         raise InputError(
             "the solver estimates the bias at rest, but the board never rests in these recordings",
             "add a recording of this board at rest",
         )
-    solver = _TurnSolver(integrated_turns, np.array(rests), axis_std_rad)
+    solver = _TurnSolver(integrated_turns, rests, axis_std_rad)
     solver.run()
     reduced_chi2, degrees_of_freedom = solver.reduced_chi2()
     inflation = max(1.0, reduced_chi2) if degrees_of_freedom > 0 else 1.0
     outcome = FitOutcome(
         estimate=solver.estimate,
-        observability=analyse_observability(solver.information() / inflation, PARAMETER_NAMES),
+        observability=analyse_observability(
+            solver.information(len(recordings) - 1) / inflation, PARAMETER_NAMES
+        ),
         reduced_chi2=reduced_chi2 if degrees_of_freedom > 0 else float("nan"),
         chi2_limit=chi2_quantile(0.01, degrees_of_freedom) / degrees_of_freedom
         if degrees_of_freedom > 0
@@ -104,11 +116,12 @@ def fit_turns(
         outliers=0,
         rms_before_rad_s=solver.rms_rad_s(nominal=True),
         rms_after_rad_s=solver.rms_rad_s(nominal=False),
-        reference=f"{len(integrated_turns)} turns by known angles, {len(rests)} rests",
+        reference=f"{len(integrated_turns)} turns by known angles, {sum(map(len, rests))} rests",
         reason_texts=REASON_TEXTS,
         warnings=_warnings(
             solver, integrated_turns[0].turn.std_rad, axis_std_rad, degrees_of_freedom > 0
         ),
+        recordings=solver.recording_fits(inflation) if len(recordings) > 1 else (),
     )
     return build_gyro_fit(outcome, [samples for samples, _ in recordings])
 
@@ -141,7 +154,7 @@ def _samples_in(samples: GyroSamples, interval: TimeInterval) -> FloatArray:
     return np.flatnonzero(picked & samples.usable).astype(np.float64)
 
 
-def _integrate(samples: GyroSamples, turn: KnownTurn) -> _IntegratedTurn:
+def _integrate(recording: int, samples: GyroSamples, turn: KnownTurn) -> _IntegratedTurn:
     index = _samples_in(samples, turn.interval).astype(np.int64)
     if index.size < 8:
         raise InputError(
@@ -158,7 +171,9 @@ def _integrate(samples: GyroSamples, turn: KnownTurn) -> _IntegratedTurn:
     time_s, rate = samples.time_s[index], samples.rate_rad_s[index]
     # Half a period more at both ends: n samples represent n periods.
     integral = np.trapezoid(rate, time_s, axis=0) + 0.5 * samples.period_s * (rate[0] + rate[-1])
-    return _IntegratedTurn(turn, integral, float(time_s[-1] - time_s[0]) + samples.period_s)
+    return _IntegratedTurn(
+        recording, turn, integral, float(time_s[-1] - time_s[0]) + samples.period_s
+    )
 
 
 def _rest_mean(samples: GyroSamples, interval: TimeInterval) -> FloatArray:
@@ -179,35 +194,62 @@ def _rest_mean(samples: GyroSamples, interval: TimeInterval) -> FloatArray:
 
 
 class _TurnSolver:
-    """Gauss-Newton over (G, b); only the weights depend on G, so it converges at once."""
+    """Gauss-Newton over G and each recording's b; only the weights depend on G."""
 
     def __init__(
-        self, integrated_turns: list[_IntegratedTurn], rests: FloatArray, axis_std_rad: float
+        self,
+        integrated_turns: list[_IntegratedTurn],
+        rests: Sequence[FloatArray],
+        axis_std_rad: float,
     ) -> None:
-        self._integrated_turns, self._rests = integrated_turns, rests
-        self._axis_std_rad = axis_std_rad
-        scatter = np.std(rests, axis=0, ddof=1) if len(rests) > 1 else np.zeros(3)
-        self._rest_std = np.maximum(scatter, MIN_BIAS_STD_RAD_S)
-        self._gain, self._bias = np.eye(3), rests.mean(axis=0)
+        """Start with the nominal gain and the mean rates of the rests.
+
+        Args:
+            integrated_turns: of all recordings.
+            rests: mean rates of each recording's rests, (n, 3). A recording without a rest has the
+                bias of the others, with its scatter.
+            axis_std_rad: of the turns' axes.
+        """
+        self._integrated_turns, self._axis_std_rad = integrated_turns, axis_std_rad
+        pooled = np.concatenate(rests)
+        self._layout = ParameterLayout.of([()], len(rests))
+        self._rests = [rates if len(rates) else pooled for rates in rests]
+        self._rest_std = np.array([_scatter(rates) for rates in self._rests])
+        self._gain = np.eye(3)
+        self._biases = np.array([rates.mean(axis=0) for rates in self._rests])
         axes = np.array([integrated.turn.axis for integrated in integrated_turns])
         self.axis_turned = np.linalg.norm(axes, axis=0) > 0.1
 
     @property
     def estimate(self) -> FloatArray:
-        """G, b, and an unknown time offset, shape (13,)."""
-        return np.concatenate([self._gain.ravel(), self._bias, [0.0]])
+        """G, b of the last recording, and an unknown time offset, shape (13,)."""
+        return np.concatenate([self._gain.ravel(), self._biases[-1], [0.0]])
 
     def run(self) -> None:
         """Solve, with the weights of the last gain."""
         for _ in range(MAX_ITERATIONS):
             information, score = self._normal_equations()
-            step = analyse_observability(information, PARAMETER_NAMES).pseudo_inverse @ score
+            step = (
+                analyse_scaled_observability(information, self._layout.prior_std).pseudo_inverse
+                @ score
+            )
             self._gain = self._gain + step[:9].reshape(3, 3)
-            self._bias = self._bias + step[9:12]
+            self._biases = self._biases + step[9:].reshape(-1, SESSION_PARAMETERS)[:, :3]
 
-    def information(self) -> FloatArray:
-        """Return the information on `PARAMETER_NAMES`, shape (13, 13)."""
-        return self._normal_equations()[0]
+    def information(self, recording: int) -> FloatArray:
+        """Return the information on G and one recording's (b, tau), shape (13, 13)."""
+        return eliminate_parameters(
+            self._normal_equations()[0], self._layout.index(recording), self._layout.prior_std
+        )
+
+    def recording_fits(self, inflation: float) -> tuple[RecordingFit, ...]:
+        """Return the bias of each recording."""
+        fits = []
+        for k, bias in enumerate(self._biases):
+            analysis = analyse_observability(self.information(k) / inflation, PARAMETER_NAMES)
+            std = np.sqrt(np.diag(analysis.covariance)[9:12])
+            fits.append(RecordingFit(bias, std, float("nan"), float("nan")))
+        return tuple(fits)
 
     def reduced_chi2(self) -> tuple[float, int]:
         """Return the turns' reduced chi-square and its degrees of freedom."""
@@ -224,7 +266,7 @@ class _TurnSolver:
         errors = [
             (
                 integrated.integral
-                - self._bias * integrated.span_s
+                - self._biases[integrated.recording] * integrated.span_s
                 - gain @ integrated.turn.axis * integrated.turn.angle_rad
             )
             / integrated.span_s
@@ -234,32 +276,42 @@ class _TurnSolver:
 
     def _residual(self, integrated: _IntegratedTurn) -> FloatArray:
         predicted = self._gain @ integrated.turn.axis * integrated.turn.angle_rad
-        return np.asarray(
-            integrated.integral - self._bias * integrated.span_s - predicted, dtype=np.float64
-        )
+        bias = self._biases[integrated.recording]
+        return np.asarray(integrated.integral - bias * integrated.span_s - predicted, np.float64)
 
     def _covariance(self, integrated: _IntegratedTurn) -> FloatArray:
         """Return the covariance of a turn's integral: angle, axis, bias."""
         turn = integrated.turn
         by_angle = self._gain @ turn.axis
         by_axis = self._gain @ cross_matrix(turn.axis) * turn.angle_rad * self._axis_std_rad
-        drift = np.diag((self._rest_std * integrated.span_s) ** 2)
+        drift = np.diag((self._rest_std[integrated.recording] * integrated.span_s) ** 2)
         return np.asarray(
             np.outer(by_angle, by_angle) * turn.std_rad**2 + by_axis @ by_axis.T + drift,
             dtype=np.float64,
         )
 
     def _normal_equations(self) -> tuple[FloatArray, FloatArray]:
-        information, score = np.zeros((13, 13)), np.zeros(13)
+        size = self._layout.size
+        information, score = np.zeros((size, size)), np.zeros(size)
         for integrated in self._integrated_turns:
-            jacobian = np.zeros((3, 13))
+            jacobian = np.zeros((3, size))
+            index = self._layout.index(integrated.recording)
             for i in range(3):
-                jacobian[i, 3 * i : 3 * i + 3] = integrated.turn.axis * integrated.turn.angle_rad
-                jacobian[i, 9 + i] = integrated.span_s
+                jacobian[i, index[3 * i : 3 * i + 3]] = (
+                    integrated.turn.axis * integrated.turn.angle_rad
+                )
+                jacobian[i, index[9 + i]] = integrated.span_s
             weighted = np.linalg.solve(self._covariance(integrated), jacobian)
             information += jacobian.T @ weighted
             score += weighted.T @ self._residual(integrated)
-        for rest_rate in self._rests:
-            information[9:12, 9:12] += np.diag(self._rest_std**-2.0)
-            score[9:12] += (rest_rate - self._bias) / self._rest_std**2
+        for k, (rest_rates, std) in enumerate(zip(self._rests, self._rest_std, strict=True)):
+            bias = self._layout.index(k)[9:12]
+            information[bias, bias] += len(rest_rates) * std**-2.0
+            score[bias] += (rest_rates - self._biases[k]).sum(axis=0) / std**2
         return information, score
+
+
+def _scatter(rest_rates: FloatArray) -> FloatArray:
+    """Return the standard deviation of the bias between rests, (3,)."""
+    scatter = np.std(rest_rates, axis=0, ddof=1) if len(rest_rates) > 1 else np.zeros(3)
+    return np.maximum(scatter, MIN_BIAS_STD_RAD_S)

@@ -12,11 +12,12 @@ from functools import cache, cached_property
 from typing import TYPE_CHECKING
 
 from gyrorig_protocol.errors import InputError, UsageError
-from gyrorig_protocol.recording.recording import Recording
+from gyrorig_protocol.recording.recording import Recording, in_order_of_time
 from gyrorig_solver.data.samples import GyroSamples, load_samples
 from gyrorig_solver.data.stream.exact_repeats import without_repeats
 from gyrorig_solver.data.stream.stuck_axes import without_clipping
 from gyrorig_solver.pipeline import references
+from gyrorig_solver.pipeline.rest_check import check_rests
 from gyrorig_solver.reference import ReferenceMotion, TurnReference, read_turns
 
 if TYPE_CHECKING:  # a kind uses the data of a board
@@ -45,14 +46,26 @@ class BoardData:
 
     @property
     def missing(self) -> tuple[str, ...]:
-        """What the recordings report as missing, one text for each loss."""
-        return tuple(f"{r.path.name}: {loss.text}" for r in self.recordings for loss in r.losses)
+        """What the recordings report as missing, one text for each loss, and missing dates."""
+        losses = tuple(f"{r.path.name}: {loss.text}" for r in self.recordings for loss in r.losses)
+        undated = [r.path.name for r in self.recordings if not r.has_time_of_day]
+        if len(self.recordings) == 1 or not undated:
+            return losses
+        return (
+            *losses,
+            f"the time of day of {', '.join(undated)} is not known, so the order of the recordings "
+            "is that in which they were given; figures show them one after the other, with a gap",
+        )
 
     @cached_property
     def known_turns(self) -> tuple[TurnReference, ...]:
-        """The known turns and rests of each recording."""
+        """The known turns and rests of each recording.
+
+        Raises:
+            InputError: the text of a turn is not valid, or the board moves in a rest.
+        """
         return tuple(
-            read_turns(recording.events(), samples.origin_ns)
+            read_checked_turns(recording, samples)
             for recording, samples in zip(self.recordings, self.samples, strict=True)
         )
 
@@ -81,8 +94,19 @@ def load_board(recordings: Sequence[Recording], board: str) -> BoardData:
     Raises:
         InputError: the board is not in a recording, or has too few samples there.
     """
-    ordered = tuple(sorted(recordings, key=lambda recording: recording.start_ns))
+    ordered = in_order_of_time(recordings)
     return BoardData(board, ordered, tuple(load_samples(r, board) for r in ordered))
+
+
+def read_checked_turns(recording: Recording, samples: GyroSamples) -> TurnReference:
+    """Return the known turns and rests of a recording.
+
+    Raises:
+        InputError: the text of a turn is not valid, or the board moves in a rest.
+    """
+    known_turns = read_turns(recording.events(), samples.origin_ns)
+    check_rests(recording, samples, known_turns.rests)
+    return known_turns
 
 
 def has_unit(recordings: Sequence[Recording]) -> bool:

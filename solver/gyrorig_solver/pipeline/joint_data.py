@@ -9,7 +9,7 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from gyrorig_protocol.errors import GyrorigError
-from gyrorig_protocol.recording.recording import Recording
+from gyrorig_protocol.recording.recording import Recording, in_order_of_time
 from gyrorig_solver.data.clocks.shared_time_base import TimeCorrection, fit_shared_time
 from gyrorig_solver.data.samples import GyroSamples, load_samples
 from gyrorig_solver.estimate import NO_SHARING, BoardSharing
@@ -43,7 +43,7 @@ class JointData:
 
 def load_jointly(recordings: Sequence[Recording], boards: Sequence[str]) -> JointData:
     """Load boards' samples, with a common time base for those on one bus."""
-    ordered = tuple(sorted(recordings, key=lambda recording: recording.start_ns))
+    ordered = in_order_of_time(recordings)
     samples: dict[str, list[GyroSamples]] = {board: [] for board in boards}
     errors: dict[str, GyrorigError] = {}
     clock_shifts: Mapping[str, TimeCorrection] = {}

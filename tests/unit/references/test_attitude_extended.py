@@ -76,7 +76,9 @@ def test_explain_states_both_calibrations(cubic: Recording, tmp_path: Path) -> N
             if name == "scale":
                 value: Any = calibration.parameters[name].value
                 stated = getattr(change, column)
-                assert stated == pytest.approx(value["xyz".index(axis)], abs=0.01 * (change.std or 0.0))
+                assert stated == pytest.approx(
+                    value["xyz".index(axis)], abs=0.01 * (change.std or 0.0)
+                )
 
 
 def test_each_recording_has_its_bias_and_delay(tmp_path: Path) -> None:

@@ -28,8 +28,9 @@ class GravityKind(ReferenceKind):
         refuse_causes(extend)
         if len(data.recordings) > 1:
             raise UsageError(
-                f"{len(data.recordings)} recordings without a pan-tilt unit, attitudes or known "
-                "turns cannot be solved together",
+                f"the {len(data.recordings)} recordings cannot be solved together, because gravity "
+                "between rests is their only reference, and a fit to gravity takes one "
+                "recording",
                 "run `gyrorig solve` once for each recording",
             )
         (recording,), (samples,), (known_turns,) = data.recordings, data.samples, data.known_turns

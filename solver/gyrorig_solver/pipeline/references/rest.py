@@ -8,6 +8,7 @@ from gyrorig_solver.estimate import REST_REMEDIES
 from gyrorig_solver.pipeline.board_data import BoardData
 from gyrorig_solver.pipeline.board_results import BoardExplanation
 from gyrorig_solver.pipeline.motion_kind import MotionKind
+from gyrorig_solver.pipeline.rest_check import check_rests
 from gyrorig_solver.reference import ReferenceMotion, RestReference, mostly_at_rest, read_turns
 
 
@@ -26,8 +27,10 @@ class RestKind(MotionKind):
     def read_motion(self, recording: Recording, samples: GyroSamples) -> ReferenceMotion | None:
         """Return the rests, None if they are a smaller part of the recording."""
         rests = read_turns(recording.events(), samples.origin_ns).rests
-        is_at_rest = mostly_at_rest(rests, float(samples.time_s[-1] - samples.time_s[0]))
-        return RestReference(rests) if is_at_rest else None
+        if not mostly_at_rest(rests, float(samples.time_s[-1] - samples.time_s[0])):
+            return None
+        check_rests(recording, samples, rests)
+        return RestReference(rests)
 
     def explain(self, data: BoardData, held_out: Recording | None) -> BoardExplanation:
         """Search for the causes of the residual; see `ReferenceKind.explain`."""
