@@ -86,7 +86,8 @@ class UnitRecording:
             InputError: the motions differ, or the motion fits at two times.
         """
         since_s = imu.time_s - imu.time_s[0]
-        clock = self._find_clock(since_s, gyro.values[imu.row] * (gyro.scale_rad_s or 1.0))
+        is_finite = np.all(np.isfinite(gyro.values), axis=1)
+        clock = self._find_clock(since_s, gyro.values[is_finite] * (gyro.scale_rad_s or 1.0))
         host_ns = self.start_ns + np.rint(clock.capture_s(since_s) * NS).astype(np.int64)
         margin_ns = int(UNIT_MARGIN_S * NS)
         is_near = (host_ns >= max(0, self.start_ns - margin_ns)) & (

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from gyrorig_protocol.recording.writer import Attachment
-from gyrorig_solver.data import FloatArray
+from gyrorig_solver.data import FloatArray, IntArray
 from gyrorig_solver.importers.map_keys import SectionSpan
 
 # sampled: the device's own time of each sample; arrival: the time at which the host received it.
@@ -20,8 +20,7 @@ StampKind = Literal["sampled", "arrival"]
 class GyroStream:
     """The rates of one sensor, a row per sample; a row that is not finite is a lost sample.
 
-    With `stamp` "arrival" the row number is the clock of the sensor and `rate_hz` its nominal
-    rate, which is then required.
+    With `stamp` "arrival" the sample number is the clock of the sensor.
     """
 
     time_s: FloatArray  # (n,), increasing; arrival times can repeat
@@ -29,6 +28,7 @@ class GyroStream:
     scale_rad_s: float | None = None  # nominal scale of a count
     stamp: StampKind = "sampled"
     rate_hz: float | None = None  # nominal sample rate, if the source gives it
+    number: IntArray | None = None  # (n,), sample counter of the source; None: the row number
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -14,7 +14,7 @@ from types import MappingProxyType
 from typing import Protocol
 
 from gyrorig_protocol.errors import InputError
-from gyrorig_protocol.file_kinds import HEAD_BYTES, describe_file_kind
+from gyrorig_protocol.file_kinds import HEAD_BYTES, RECORDING, describe_file_kind
 from gyrorig_solver.importers import formats as format_folder
 from gyrorig_solver.importers.map_keys import ImportMap
 from gyrorig_solver.importers.measured_streams import MeasuredStreams
@@ -132,6 +132,11 @@ def find_format(source: Path, *, has_map: bool = False) -> tuple[MeasurementForm
             f"{source.name} cannot be read ({error.strerror or type(error).__name__})",
             "check that the file can be read, and copy it again from its source",
         ) from error
+    if kind == RECORDING:
+        raise InputError(
+            f"{source.name} is already a recording, or an MCAP file that is not a ROS 2 bag",
+            "give a recording to `gyrorig check` or `gyrorig solve`",
+        )
     raise InputError(
         f"{source.name} is {kind}, which `gyrorig import` cannot read",
         "give a file or folder of one of the formats on the page docs/how-to/import.md",

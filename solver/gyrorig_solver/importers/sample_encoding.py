@@ -34,7 +34,7 @@ class ImuStream:
 
     host_time_ns: IntArray  # (n,)
     device_time: IntArray  # (n,), ticks
-    row: IntArray  # (n,), row number in the source, used as the sample counter
+    row: IntArray  # (n,), row or sample number in the source, used as the sample counter
     time_s: FloatArray  # (n,), time in the source
     status: IntArray  # (n,)
     temperature: IntArray  # (n,)
@@ -85,13 +85,14 @@ def encode_samples(board: MeasuredBoard, origin_ns: int) -> ImuStream:
         status |= np.where(valid, int(ImuStatus.TEMPERATURE_VALID), 0)
         metadata["temperature_scale_c"] = repr(TEMPERATURE_COUNT_C)
         metadata["temperature_offset_c"] = repr(TEMPERATURE_OFFSET_C)
-    device_time, clock = _device_ticks(gyro, origin_ns, row)
+    number = row if gyro.number is None else gyro.number[row]
+    device_time, clock = _device_ticks(gyro, origin_ns, row, number)
     if gyro.rate_hz is not None:
         clock["odr_hz"] = repr(gyro.rate_hz)
     return ImuStream(
         host_time_ns=origin_ns + nanoseconds(gyro.time_s[row]),
         device_time=device_time,
-        row=row.astype(np.int64),
+        row=number.astype(np.int64),
         time_s=gyro.time_s[row],
         status=status,
         temperature=temperature,
@@ -103,7 +104,7 @@ def encode_samples(board: MeasuredBoard, origin_ns: int) -> ImuStream:
 
 
 def _device_ticks(
-    gyro: GyroStream, origin_ns: int, row: IntArray
+    gyro: GyroStream, origin_ns: int, row: IntArray, number: IntArray
 ) -> tuple[IntArray, dict[str, str]]:
     """Return device ticks and their frequency.
 
@@ -111,9 +112,11 @@ def _device_ticks(
     count is the device clock: the lower envelope of the arrivals gives its true rate.
     """
     if gyro.stamp == "arrival":
-        if gyro.rate_hz is None:
-            raise ValueError("arrival times need the nominal sample rate")
-        return row.astype(np.int64), {"tick_hz": repr(gyro.rate_hz), "counter_bits": "64"}
+        rate_hz = gyro.rate_hz
+        if rate_hz is None:
+            span_s = max(float(gyro.time_s[row[-1]] - gyro.time_s[row[0]]), 1e-9)
+            rate_hz = float(number[-1] - number[0]) / span_s
+        return number.astype(np.int64), {"tick_hz": repr(rate_hz), "counter_bits": "64"}
     ticks = origin_ns + nanoseconds(gyro.time_s[row])
     return ticks, {"tick_hz": "1000000000.0", "counter_bits": "64"}
 

@@ -91,7 +91,9 @@ def angle_error_figure(data: FitDiagnostics, error_after_rad_s: FloatArray) -> s
     """
     figure, (panel,) = stacked_panels(1, 3.4)
     before = data.rate_rad_s - data.reference_rad_s
-    bias = np.nanmean(np.where(data.moving[:, None], np.nan, before), axis=0)
+    at_rest = before[~data.moving]
+    has_rest = np.isfinite(at_rest).any(axis=0).all()
+    bias = np.nanmean(at_rest, axis=0) if has_rest else np.full(3, np.nan)
     lines = (
         (before, BEFORE, "-"),
         (before - bias, BEFORE, "--"),

@@ -1,0 +1,62 @@
+"""Whether stamps are times of sampling or times of arrival, and how many samples are missing.
+
+What to use when: `find_stamp_kind` for the stamps of a stream whose source does not specify them;
+`count_rows` for the sample numbers of a stream with arrival times.
+"""
+
+import numpy as np
+
+from gyrorig_solver.data import FloatArray, IntArray
+from gyrorig_solver.importers.measured_streams import StampKind
+
+# Stamps of a device's own clock have steps that differ by its resolution; those of a host jitter
+# by tens of microseconds at least.
+MAX_SAMPLED_SPREAD = 0.02  # of the median step
+EQUAL_NS = 1000  # stamps this close to the time of the log are the time of the log
+GAP_STEPS = 1.5  # a longer step, in median steps, is a gap
+NEIGHBOURS = 50  # samples before and after a gap, whose earliest arrivals are compared
+
+
+def find_stamp_kind(stamp_ns: IntArray, log_ns: IntArray) -> tuple[StampKind, str]:
+    """Return what the stamps are, and the reason.
+
+    Args:
+        stamp_ns: the stamps of the messages, shape (n,).
+        log_ns: the times at which the messages were logged, shape (n,).
+    """
+    if stamp_ns.size < 3:
+        return "sampled", "too few stamps to tell"
+    if np.mean(np.abs(stamp_ns - log_ns) < EQUAL_NS) > 0.9:
+        return "arrival", "the stamps are the times at which the messages were logged"
+    steps = np.diff(np.sort(stamp_ns)).astype(np.float64)
+    median = float(np.median(steps))
+    spread = 1.4826 * float(np.median(np.abs(steps - median))) / max(median, 1.0)
+    if spread > MAX_SAMPLED_SPREAD:
+        return "arrival", f"the steps between the stamps differ by {100 * spread:.1f} %"
+    return "sampled", f"the steps between the stamps differ by only {100 * spread:.2f} %"
+
+
+def count_rows(arrival_s: FloatArray) -> IntArray:
+    """Return the sample numbers of samples by their arrival, shape (n,), from 0.
+
+    A late sample is followed by early ones. After a lost sample all later ones come later: at
+    each gap, the earliest arrivals of the samples after it are compared with those before it.
+
+    Args:
+        arrival_s: arrival times, shape (n,), not decreasing.
+    """
+    count = arrival_s.size
+    rows = np.arange(count, dtype=np.int64)
+    if count < 2 * NEIGHBOURS:
+        return rows
+    period_s = float(np.median(np.diff(arrival_s)))
+    if period_s <= 0.0:  # bursts: no step is a period
+        return rows
+    for gap in np.flatnonzero(np.diff(arrival_s) > GAP_STEPS * period_s).tolist():
+        before = slice(max(0, gap + 1 - NEIGHBOURS), gap + 1)
+        after = slice(gap + 1, gap + 1 + NEIGHBOURS)
+        delay_s = arrival_s - period_s * rows
+        lost = round(float(np.min(delay_s[after]) - np.min(delay_s[before])) / period_s)
+        if lost > 0:
+            rows[gap + 1 :] += lost
+    return rows

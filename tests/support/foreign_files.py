@@ -1,0 +1,153 @@
+"""One simulated session, written in the formats of others by the formats' own libraries.
+
+What to use when: a `write_*` function writes a `SimulatedAttitudes` session as somebody else's
+program would; `START_NS` is its time of day.
+"""
+
+from collections.abc import Iterator
+from heapq import merge
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rosbags.rosbag1 import Writer as Ros1Writer
+from rosbags.rosbag2 import StoragePlugin
+from rosbags.rosbag2 import Writer as Ros2Writer
+from rosbags.typesys import Stores, get_typestore
+from tests.support.simulated_attitudes import SimulatedAttitudes
+
+START_NS = 1_760_000_000_000_000_000
+LINK_NS = 1_300_000  # from the stamp of a message to the log
+
+
+def stamps_ns(time_s: np.ndarray) -> list[int]:
+    return [int(at) for at in START_NS + np.rint(time_s * 1e9).astype(np.int64)]
+
+
+class RosMessages:
+    """The session as messages of one ROS version's standard types."""
+
+    def __init__(self, store: Stores, session: SimulatedAttitudes, pose_type: str) -> None:
+        self.store = get_typestore(store)
+        self._types = self.store.types
+        self._session = session
+        self._pose_type = pose_type
+
+    def imu_type(self) -> str:
+        return "sensor_msgs/msg/Imu"
+
+    def pose_type(self) -> str:
+        package = {"Odometry": "nav_msgs", "TFMessage": "tf2_msgs"}
+        return f"{package.get(self._pose_type, 'geometry_msgs')}/msg/{self._pose_type}"
+
+    def header(self, at_ns: int, frame: str) -> Any:
+        seconds, rest = divmod(at_ns, 10**9)
+        stamp = self._types["builtin_interfaces/msg/Time"](seconds, rest)
+        header = self._types["std_msgs/msg/Header"]
+        fields = getattr(header, "__dataclass_fields__", {})
+        return header(0, stamp, frame) if "seq" in fields else header(stamp, frame)
+
+    def imu(self) -> Iterator[tuple[int, Any]]:
+        vector = self._types["geometry_msgs/msg/Vector3"]
+        orientation = self._types["geometry_msgs/msg/Quaternion"](0.0, 0.0, 0.0, 1.0)
+        unknown = np.array([-1.0, *[0.0] * 8])
+        for at_ns, rate in zip(
+            stamps_ns(self._session.gyro_time_s), self._session.gyro_rad_s.tolist(), strict=True
+        ):
+            yield at_ns, self._types[self.imu_type()](
+                self.header(at_ns, "imu_link"), orientation, unknown, vector(*rate),
+                np.zeros(9), vector(0.0, 0.0, 9.81), np.zeros(9),
+            )  # fmt: skip
+
+    def temperatures(self) -> Iterator[tuple[int, Any]]:
+        for at_ns in stamps_ns(self._session.gyro_time_s[::200]):
+            yield (
+                at_ns,
+                self._types["sensor_msgs/msg/Temperature"](
+                    self.header(at_ns, "imu_link"), 31.5, 0.0
+                ),
+            )
+
+    def poses(self) -> Iterator[tuple[int, Any]]:
+        for at_ns, q in zip(
+            stamps_ns(self._session.stamp_s), self._session.orientation_xyzw.tolist(), strict=True
+        ):
+            yield at_ns, self._pose(self.header(at_ns, "world"), q)
+
+    def _pose(self, header: Any, q: list[float]) -> Any:
+        types = self._types
+        rotation = types["geometry_msgs/msg/Quaternion"](*q)
+        point = types["geometry_msgs/msg/Point"](0.0, 0.0, 0.0)
+        zero = types["geometry_msgs/msg/Vector3"](0.0, 0.0, 0.0)
+        pose = types["geometry_msgs/msg/Pose"](point, rotation)
+        if self._pose_type == "PoseStamped":
+            return types[self.pose_type()](header, pose)
+        if self._pose_type == "Odometry":
+            twist = types["geometry_msgs/msg/Twist"](zero, zero)
+            return types[self.pose_type()](
+                header, "body",
+                types["geometry_msgs/msg/PoseWithCovariance"](pose, np.zeros(36)),
+                types["geometry_msgs/msg/TwistWithCovariance"](twist, np.zeros(36)),
+            )  # fmt: skip
+        transform = types["geometry_msgs/msg/TransformStamped"](
+            header, "body", types["geometry_msgs/msg/Transform"](zero, rotation)
+        )
+        if self._pose_type == "TransformStamped":
+            return transform
+        return types[self.pose_type()]([transform])
+
+
+def write_ros2_bag(
+    folder: Path,
+    session: SimulatedAttitudes,
+    *,
+    storage: str = "mcap",
+    pose_type: str = "PoseStamped",
+    imu_topics: tuple[str, ...] = ("/imu/data_raw",),
+    link_ns: int = LINK_NS,
+) -> Path:
+    """Write a bag; with `link_ns` 0 the stamps are those of the log."""
+    messages = RosMessages(Stores.ROS2_HUMBLE, session, pose_type)
+    plugin = StoragePlugin.MCAP if storage == "mcap" else StoragePlugin.SQLITE3
+    with Ros2Writer(folder, version=9, storage_plugin=plugin) as bag:
+        for topic in imu_topics:
+            imu = bag.add_connection(topic, messages.imu_type(), typestore=messages.store)
+            for at_ns, message in messages.imu():
+                payload = messages.store.serialize_cdr(message, messages.imu_type())
+                bag.write(imu, at_ns + link_ns, payload)
+        name = "/tf" if pose_type == "TFMessage" else "/mocap/body"
+        poses = bag.add_connection(name, messages.pose_type(), typestore=messages.store)
+        for at_ns, message in messages.poses():
+            payload = messages.store.serialize_cdr(message, messages.pose_type())
+            bag.write(poses, at_ns + link_ns, payload)
+        warmth = bag.add_connection(
+            "/imu/temperature", "sensor_msgs/msg/Temperature", typestore=messages.store
+        )
+        for at_ns, message in messages.temperatures():
+            payload = messages.store.serialize_cdr(message, "sensor_msgs/msg/Temperature")
+            bag.write(warmth, at_ns + link_ns, payload)
+    return folder
+
+
+def write_ros1_bag(
+    path: Path,
+    session: SimulatedAttitudes,
+    *,
+    pose_type: str = "PoseStamped",
+    compression: str = "none",
+) -> Path:
+    messages = RosMessages(Stores.ROS1_NOETIC, session, pose_type)
+    bag = Ros1Writer(path)
+    if compression != "none":
+        bag.set_compression(Ros1Writer.CompressionFormat[compression.upper()])
+    with bag:
+        imu = bag.add_connection("/imu", messages.imu_type(), typestore=messages.store)
+        poses = bag.add_connection("/vicon", messages.pose_type(), typestore=messages.store)
+        for at_ns, connection, type_name, message in merge(
+            ((at, imu, messages.imu_type(), message) for at, message in messages.imu()),
+            ((at, poses, messages.pose_type(), message) for at, message in messages.poses()),
+            key=lambda dated: dated[0],
+        ):
+            payload = messages.store.serialize_ros1(message, type_name)
+            bag.write(connection, at_ns + LINK_NS, payload)
+    return path

@@ -1,0 +1,160 @@
+"""Bags written by the library rosbags: imported by one command, solved, compared with the truth."""
+
+import shutil
+import sqlite3
+from pathlib import Path
+
+import numpy as np
+import pytest
+from tests.support.foreign_files import START_NS, write_ros1_bag, write_ros2_bag
+from tests.support.simulated_attitudes import SimulatedAttitudes, simulate_attitudes
+
+from gyrorig_protocol.errors import InputError, UsageError
+from gyrorig_protocol.recording.reader import read_recording
+from gyrorig_solver import cli
+from gyrorig_solver.calibration import parse_calibration
+from gyrorig_solver.data.samples import load_samples
+from gyrorig_solver.importers import ImportOptions, find_format, import_files
+
+FARTHEST_SIGMA = 4.0
+
+
+@pytest.fixture(scope="module")
+def session() -> SimulatedAttitudes:
+    return simulate_attitudes(1, span_s=40.0)
+
+
+@pytest.fixture(scope="module")
+def short() -> SimulatedAttitudes:
+    return simulate_attitudes(2, span_s=5.0)
+
+
+def check_solved(recording: Path, session: SimulatedAttitudes, folder: Path) -> None:
+    """Solve a recording and compare the matrix, the bias and the delay with the truth."""
+    assert cli.run(["solve", str(recording), "--out", str(folder), "--extend", "none"]) == 0
+    (document,) = folder.rglob("v0001.yaml")
+    result = parse_calibration(document.read_bytes(), document.name)
+    assert result.trust.verdict == "good"
+    gain = np.array(result.matrices.STM)
+    assert np.abs(gain - session.gain).max() < 5e-4
+    bias = result.parameters["bias"]
+    off = (np.array(bias.value) - session.bias_rad_s) / np.array(bias.std)
+    assert np.abs(off).max() < FARTHEST_SIGMA
+    delay_s = result.parameters["time_offset"].value
+    assert isinstance(delay_s, float)
+    assert abs(delay_s - session.lag_s) < 2e-4
+
+
+@pytest.mark.parametrize("storage", ["mcap", "sqlite3"])
+def test_a_ros2_bag_is_imported_by_one_command_and_solved(
+    storage: str,
+    session: SimulatedAttitudes,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    write_ros2_bag(tmp_path / "drive", session, storage=storage)
+    monkeypatch.chdir(tmp_path)
+    assert cli.run(["import", "drive"]) == 0
+    recording = read_recording(tmp_path / "drive.mcap")
+    assert recording.start_ns == START_NS
+    samples = load_samples(recording, "imu-data-raw")
+    assert samples.rate_rad_s == pytest.approx(session.gyro_rad_s, abs=1e-7)
+    assert samples.temperature_degc is not None
+    assert np.nanmean(samples.temperature_degc) == pytest.approx(31.5)
+    check_solved(tmp_path / "drive.mcap", session, tmp_path / "calibrations")
+
+
+def test_a_ros1_bag_is_imported_by_one_command_and_solved(
+    session: SimulatedAttitudes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write_ros1_bag(tmp_path / "drive.bag", session, compression="lz4")
+    monkeypatch.chdir(tmp_path)
+    assert cli.run(["import", "drive.bag"]) == 0
+    check_solved(tmp_path / "drive.mcap", session, tmp_path / "calibrations")
+
+
+@pytest.mark.parametrize("pose_type", ["TransformStamped", "Odometry", "TFMessage"])
+def test_poses_of_each_type_are_read(
+    pose_type: str, short: SimulatedAttitudes, tmp_path: Path
+) -> None:
+    bag = write_ros2_bag(tmp_path / "bag", short, pose_type=pose_type)
+    summary = import_files([bag], tmp_path / "out.mcap")
+    assert summary.attitudes == short.stamp_s.size
+    assert any("the orientation maps the body to the world" in note for note in summary.notes)
+
+
+def test_a_file_of_a_bag_is_enough_and_its_name_does_not_matter(
+    short: SimulatedAttitudes, tmp_path: Path
+) -> None:
+    bag = write_ros2_bag(tmp_path / "bag", short)
+    (source,) = bag.glob("*.mcap")
+    shutil.copy(source, tmp_path / "measurement.dat")
+    chosen, match = find_format(tmp_path / "measurement.dat")
+    assert (chosen.name, match.description) == ("ros2", "a ROS 2 bag")
+    assert import_files([tmp_path / "measurement.dat"], tmp_path / "out.mcap").samples == 1000
+
+
+def test_stamps_of_the_log_are_times_of_arrival(short: SimulatedAttitudes, tmp_path: Path) -> None:
+    bag = write_ros2_bag(tmp_path / "bag", short, link_ns=0)
+    summary = import_files([bag], tmp_path / "out.mcap")
+    assert sum("times of arrival" in note for note in summary.notes) == 2
+    recording = read_recording(summary.path)
+    assert recording.metadata["gyrorig.reference"] == {"stamp": "arrival"}
+    board = recording.metadata["gyrorig.board.imu-data-raw"]
+    assert float(board["tick_hz"]) == pytest.approx(200.0)
+    as_sampled = import_files([bag], tmp_path / "s.mcap", ImportOptions(stamp="sampled"))
+    assert "gyrorig.reference" not in read_recording(as_sampled.path).metadata
+
+
+def test_several_topics_are_listed_with_counts_and_rates(
+    short: SimulatedAttitudes, tmp_path: Path
+) -> None:
+    bag = write_ros2_bag(tmp_path / "bag", short, imu_topics=("/left/imu", "/right/imu"))
+    with pytest.raises(InputError, match=r"/left/imu \(1000 messages, 200 Hz\), /right/imu"):
+        import_files([bag], tmp_path / "out.mcap")
+    assert not (tmp_path / "out.mcap").exists()
+    chosen = import_files([bag], tmp_path / "one.mcap", ImportOptions(topics=("/left/imu",)))
+    assert (chosen.board, chosen.other_boards) == ("left-imu", {})
+    both = ImportOptions(topics=("/left/imu", "/right/imu"))
+    summary = import_files([bag], tmp_path / "two.mcap", both)
+    assert (summary.board, summary.other_boards) == ("left-imu", {"right-imu": 1000})
+    with pytest.raises(UsageError, match="no topic '/middle/imu'"):
+        import_files([bag], tmp_path / "no.mcap", ImportOptions(topics=("/middle/imu",)))
+
+
+def test_damaged_bags_are_refused_in_one_line(short: SimulatedAttitudes, tmp_path: Path) -> None:
+    bag = write_ros2_bag(tmp_path / "bag", short)
+    (source,) = bag.glob("*.mcap")
+    whole = source.read_bytes()
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes(whole[: len(whole) // 2])
+    with pytest.raises(InputError, match=r"ends inside a record.*Repair it with `mcap recover`"):
+        import_files([cut], tmp_path / "out.mcap")
+    ros1 = write_ros1_bag(tmp_path / "a.bag", short)
+    ros1.write_bytes(ros1.read_bytes()[:-1000])
+    with pytest.raises(InputError, match=r"ends inside a record.*Repair it with `rosbag reindex`"):
+        import_files([ros1], tmp_path / "out.mcap")
+    database = write_ros2_bag(tmp_path / "db", short, storage="sqlite3")
+    (source,) = database.glob("*.db3")
+    with sqlite3.connect(source) as connection:
+        connection.execute("UPDATE messages SET data = x'0001' WHERE id = 5")
+    connection.close()
+    with pytest.raises(InputError, match="cannot be read") as caught:
+        import_files([database], tmp_path / "out.mcap")
+    assert "\n" not in str(caught.value)
+
+
+def test_a_bag_without_an_imu_states_what_it_contains(tmp_path: Path) -> None:
+    empty = simulate_attitudes(2, span_s=5.0)
+    bag = write_ros2_bag(tmp_path / "bag", empty, imu_topics=())
+    with pytest.raises(InputError, match="contain no rates of a gyroscope"):
+        import_files([bag], tmp_path / "out.mcap")
+
+
+def test_a_recording_of_this_project_needs_no_import(
+    short: SimulatedAttitudes, tmp_path: Path
+) -> None:
+    bag = write_ros2_bag(tmp_path / "bag", short)
+    own = import_files([bag], tmp_path / "own.mcap").path
+    with pytest.raises(InputError, match="is already a recording"):
+        find_format(own)
