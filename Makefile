@@ -109,5 +109,5 @@ $(VENV)/.solver: $(VENV)/.python pyproject.toml constraints.txt
 
 $(VENV)/.dev: $(VENV)/.python pyproject.toml constraints.txt
 	@echo "Installing gyrorig, its dependencies and those of its tests"
-	@$(PIP) -e ".[solver,fleet,live,docs,dev]"
+	@$(PIP) -e ".[solver,fleet,ros,tables,live,docs,dev]"
 	@touch $@ $(VENV)/.solver

@@ -196,7 +196,7 @@ def _order(name: str, rows: _TopicRows, options: ImportOptions) -> _Topic:
     log_ns = np.array(rows.log_ns, dtype=np.int64)
     stamp, reason = find_stamp_kind(stamp_ns, log_ns)
     if not np.any(stamp_ns):
-        stamp_ns, stamp, reason = log_ns, "arrival", "the messages have no stamp, only a log time"
+        stamp_ns, stamp, reason = log_ns, "arrival", "the messages have only a log time"
     if options.stamp is not None:
         stamp, reason = ("arrival" if options.stamp == "arrival" else "sampled"), "as chosen"
     values = np.array(rows.values, dtype=np.float64)
@@ -248,7 +248,7 @@ def _topic_notes(topic: _Topic) -> list[str]:
         "the body is fixed to the IMU"
     )
     kind = "times of arrival" if topic.stamp == "arrival" else "times of sampling"
-    return [f"{topic.name}: {assumed}; its stamps are {kind} ({topic.reason})"]
+    return [f"{topic.name}: {assumed}; its timestamps are {kind} ({topic.reason})"]
 
 
 def _board(

@@ -25,15 +25,15 @@ def find_stamp_kind(stamp_ns: IntArray, log_ns: IntArray) -> tuple[StampKind, st
         log_ns: the times at which the messages were logged, shape (n,).
     """
     if stamp_ns.size < 3:
-        return "sampled", "too few stamps to tell"
+        return "sampled", "there are too few to decide"
     if np.mean(np.abs(stamp_ns - log_ns) < EQUAL_NS) > 0.9:
-        return "arrival", "the stamps are the times at which the messages were logged"
+        return "arrival", "they are the times at which the messages were logged"
     steps = np.diff(np.sort(stamp_ns)).astype(np.float64)
     median = float(np.median(steps))
     spread = 1.4826 * float(np.median(np.abs(steps - median))) / max(median, 1.0)
     if spread > MAX_SAMPLED_SPREAD:
-        return "arrival", f"the steps between the stamps differ by {100 * spread:.1f} %"
-    return "sampled", f"the steps between the stamps differ by only {100 * spread:.2f} %"
+        return "arrival", f"the steps between them differ by {100 * spread:.1f} %"
+    return "sampled", f"the steps between them differ by only {100 * spread:.2f} %"
 
 
 def count_rows(arrival_s: FloatArray) -> IntArray:

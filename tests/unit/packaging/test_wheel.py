@@ -21,7 +21,7 @@ from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
 ROOT = Path(__file__).parents[3]
-EXTRAS = ("", "solver", "fleet", "live", "docs")  # dev and fuzz are for a checkout
+EXTRAS = ("", "solver", "fleet", "ros", "tables", "live", "docs")  # dev and fuzz are for a checkout
 SHORT = """
 schema: gyrorig/program/1
 name: short
@@ -165,8 +165,11 @@ def test_the_daemon_needs_no_extra(installed: Path, tmp_path: Path) -> None:
     assert Path(json.loads(result.stdout)["recording"]).stat().st_size > 10_000
 
 
-def test_what_an_extra_would_bring_is_named(installed: Path) -> None:
+def test_what_an_extra_would_bring_is_named(installed: Path, tmp_path: Path) -> None:
+    bag = tmp_path / "log.bag"
+    bag.write_bytes(b"#ROSBAG V2.0\n")
     for extra, line, wanted in (
+        ("solver", ("import", str(bag)), "pip install 'gyrorig[ros]'"),
         ("", ("solve", "x.mcap"), "pip install 'gyrorig[solver]'"),
         ("solver", ("fleet", "store"), "pip install 'gyrorig[fleet]'"),
     ):
