@@ -14,6 +14,7 @@ from rosbags.rosbag1 import Writer as Ros1Writer
 from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as Ros2Writer
 from rosbags.typesys import Stores, get_typestore
+from scipy.spatial.transform import Rotation
 from tests.support.simulated_attitudes import SimulatedAttitudes
 
 START_NS = 1_760_000_000_000_000_000
@@ -150,4 +151,80 @@ def write_ros1_bag(
         ):
             payload = messages.store.serialize_ros1(message, type_name)
             bag.write(connection, at_ns + LINK_NS, payload)
+    return path
+
+
+# vicon's marker frame on the body, as a published sensor.yaml gives it
+MARKER_TURN = Rotation.from_euler("ZYX", [90.0, 10.0, -5.0], degrees=True)
+_SENSOR_YAML = """#Default imu sensor yaml file
+sensor_type: {kind}
+comment: simulated
+
+# Sensor extrinsics wrt. the body-frame.
+T_BS:
+  cols: 4
+  rows: 4
+  data: [{data}]
+rate_hz: {rate}
+"""
+
+
+def write_euroc_folder(
+    folder: Path, session: SimulatedAttitudes, reference: str = "vicon0"
+) -> Path:
+    """Write the folders of a sequence, with the header lines of the published ones."""
+    imu = folder / "mav0" / "imu0"
+    tracked = folder / "mav0" / reference
+    leica = folder / "mav0" / "leica0"
+    for path in (imu, tracked, leica):
+        path.mkdir(parents=True)
+    rows = [
+        "#timestamp [ns],w_RS_S_x [rad s^-1],w_RS_S_y [rad s^-1],w_RS_S_z [rad s^-1],"
+        "a_RS_S_x [m s^-2],a_RS_S_y [m s^-2],a_RS_S_z [m s^-2]"
+    ]
+    for at_ns, rate in zip(
+        stamps_ns(session.gyro_time_s), session.gyro_rad_s.tolist(), strict=True
+    ):
+        rows.append(f"{at_ns},{rate[0]:.9f},{rate[1]:.9f},{rate[2]:.9f},0.0,0.0,9.81")
+    (imu / "data.csv").write_text("\r\n".join(rows) + "\r\n")
+    (imu / "sensor.yaml").write_text(_sensor_yaml("imu", Rotation.identity(), 200))
+    rows = [
+        "#timestamp [ns], p_RS_R_x [m], p_RS_R_y [m], p_RS_R_z [m], q_RS_w [], q_RS_x [], "
+        "q_RS_y [], q_RS_z []"
+    ]
+    marker = Rotation.from_quat(session.orientation_xyzw) * MARKER_TURN
+    for at_ns, q in zip(stamps_ns(session.stamp_s), marker.as_quat().tolist(), strict=True):
+        rows.append(f"{at_ns},0.1,0.2,0.3,{q[3]:.9f},{q[0]:.9f},{q[1]:.9f},{q[2]:.9f}")
+    (tracked / "data.csv").write_text("\n".join(rows) + "\n")
+    (tracked / "sensor.yaml").write_text(_sensor_yaml("pose", MARKER_TURN, 100))
+    (leica / "data.csv").write_text(
+        "#timestamp [ns],p_RS_R_x [m],p_RS_R_y [m],p_RS_R_z [m]\n1403636579758555392,1.0,2.0,3.0\n"
+    )
+    return folder
+
+
+def _sensor_yaml(kind: str, turn: Rotation, rate: int) -> str:
+    pose = np.eye(4)
+    pose[:3, :3] = turn.as_matrix()
+    data = ",\n         ".join(", ".join(f"{v:.9f}" for v in row) for row in pose.tolist())
+    return _SENSOR_YAML.format(kind=kind, data=data, rate=rate)
+
+
+def write_tum_trajectory(path: Path, session: SimulatedAttitudes) -> Path:
+    """Write `time tx ty tz qx qy qz qw` per line."""
+    lines = ["# ground truth trajectory", "# timestamp tx ty tz qx qy qz qw"]
+    for at_s, q in zip(session.stamp_s.tolist(), session.orientation_xyzw.tolist(), strict=True):
+        lines.append(f"{at_s:.6f} 0.1 0.2 0.3 {q[0]:.7f} {q[1]:.7f} {q[2]:.7f} {q[3]:.7f}")
+    path.write_text("\n".join(lines) + "\n")
+    return path
+
+
+def write_gyro_table(path: Path, session: SimulatedAttitudes) -> Path:
+    """Write a table of the gyro in deg/s."""
+    lines = ["t,gx,gy,gz"]
+    for at_s, rate in zip(
+        session.gyro_time_s.tolist(), np.degrees(session.gyro_rad_s).tolist(), strict=True
+    ):
+        lines.append(f"{at_s:.6f},{rate[0]:.7f},{rate[1]:.7f},{rate[2]:.7f}")
+    path.write_text("\n".join(lines) + "\n")
     return path

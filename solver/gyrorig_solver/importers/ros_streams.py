@@ -28,7 +28,7 @@ from gyrorig_solver.importers.measured_streams import (
     TemperatureStream,
 )
 from gyrorig_solver.importers.measurement_format import ImportOptions
-from gyrorig_solver.importers.stamp_kinds import count_rows, find_stamp_kind
+from gyrorig_solver.importers.stamp_kinds import choose_stamp_kind, count_rows
 
 NS = 1_000_000_000
 MAX_MESSAGES = 10_000_000
@@ -194,11 +194,9 @@ def _parts(topic: str, type_name: str, message: Any) -> Iterator[tuple[str, str,
 def _order(name: str, rows: _TopicRows, options: ImportOptions) -> _Topic:
     stamp_ns = np.array(rows.stamp_ns, dtype=np.int64)
     log_ns = np.array(rows.log_ns, dtype=np.int64)
-    stamp, reason = find_stamp_kind(stamp_ns, log_ns)
+    stamp, reason = choose_stamp_kind(stamp_ns, log_ns, options.stamp)
     if not np.any(stamp_ns):
         stamp_ns, stamp, reason = log_ns, "arrival", "the messages have only a log time"
-    if options.stamp is not None:
-        stamp, reason = ("arrival" if options.stamp == "arrival" else "sampled"), "as chosen"
     values = np.array(rows.values, dtype=np.float64)
     if stamp == "arrival":
         # attitudes stay in the order of the frames; the stamps of the samples can repeat

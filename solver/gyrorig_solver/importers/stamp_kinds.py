@@ -1,6 +1,6 @@
 """Whether stamps are times of sampling or times of arrival, and how many samples are missing.
 
-What to use when: `find_stamp_kind` for the stamps of a stream whose source does not specify them;
+What to use when: `choose_stamp_kind` for the stamps of a stream whose source does not specify them;
 `count_rows` for the sample numbers of a stream with arrival times.
 """
 
@@ -17,16 +17,16 @@ GAP_STEPS = 1.5  # a longer step, in median steps, is a gap
 NEIGHBOURS = 50  # samples before and after a gap, whose earliest arrivals are compared
 
 
-def find_stamp_kind(stamp_ns: IntArray, log_ns: IntArray) -> tuple[StampKind, str]:
+def find_stamp_kind(stamp_ns: IntArray, log_ns: IntArray | None = None) -> tuple[StampKind, str]:
     """Return what the stamps are, and the reason.
 
     Args:
         stamp_ns: the stamps of the messages, shape (n,).
-        log_ns: the times at which the messages were logged, shape (n,).
+        log_ns: the times at which the messages were logged, shape (n,), if the source has them.
     """
     if stamp_ns.size < 3:
         return "sampled", "there are too few to decide"
-    if np.mean(np.abs(stamp_ns - log_ns) < EQUAL_NS) > 0.9:
+    if log_ns is not None and np.mean(np.abs(stamp_ns - log_ns) < EQUAL_NS) > 0.9:
         return "arrival", "they are the times at which the messages were logged"
     steps = np.diff(np.sort(stamp_ns)).astype(np.float64)
     median = float(np.median(steps))
@@ -34,6 +34,15 @@ def find_stamp_kind(stamp_ns: IntArray, log_ns: IntArray) -> tuple[StampKind, st
     if spread > MAX_SAMPLED_SPREAD:
         return "arrival", f"the steps between them differ by {100 * spread:.1f} %"
     return "sampled", f"the steps between them differ by only {100 * spread:.2f} %"
+
+
+def choose_stamp_kind(
+    stamp_ns: IntArray, log_ns: IntArray | None, chosen: str | None
+) -> tuple[StampKind, str]:
+    """Return what a person chose, "sampled" or "arrival", else what `find_stamp_kind` finds."""
+    if chosen is not None:
+        return ("arrival" if chosen == "arrival" else "sampled"), "as chosen"
+    return find_stamp_kind(stamp_ns, log_ns)
 
 
 def count_rows(arrival_s: FloatArray) -> IntArray:

@@ -8,15 +8,13 @@ import numpy as np
 import pytest
 from tests.support.foreign_files import START_NS, write_ros1_bag, write_ros2_bag
 from tests.support.simulated_attitudes import SimulatedAttitudes, simulate_attitudes
+from tests.support.solved_truth import check_solved
 
 from gyrorig_protocol.errors import InputError, UsageError
 from gyrorig_protocol.recording.reader import read_recording
 from gyrorig_solver import cli
-from gyrorig_solver.calibration import parse_calibration
 from gyrorig_solver.data.samples import load_samples
 from gyrorig_solver.importers import ImportOptions, find_format, import_files
-
-FARTHEST_SIGMA = 4.0
 
 
 @pytest.fixture(scope="module")
@@ -27,22 +25,6 @@ def session() -> SimulatedAttitudes:
 @pytest.fixture(scope="module")
 def short() -> SimulatedAttitudes:
     return simulate_attitudes(2, span_s=5.0)
-
-
-def check_solved(recording: Path, session: SimulatedAttitudes, folder: Path) -> None:
-    """Solve a recording and compare the matrix, the bias and the delay with the truth."""
-    assert cli.run(["solve", str(recording), "--out", str(folder), "--extend", "none"]) == 0
-    (document,) = folder.rglob("v0001.yaml")
-    result = parse_calibration(document.read_bytes(), document.name)
-    assert result.trust.verdict == "good"
-    gain = np.array(result.matrices.STM)
-    assert np.abs(gain - session.gain).max() < 5e-4
-    bias = result.parameters["bias"]
-    off = (np.array(bias.value) - session.bias_rad_s) / np.array(bias.std)
-    assert np.abs(off).max() < FARTHEST_SIGMA
-    delay_s = result.parameters["time_offset"].value
-    assert isinstance(delay_s, float)
-    assert abs(delay_s - session.lag_s) < 2e-4
 
 
 @pytest.mark.parametrize("storage", ["mcap", "sqlite3"])
