@@ -9,6 +9,7 @@ Source: JCGM 100:2008 (GUM), 4.3, 5.1 and 6.2; the budget lists the largest cont
 """
 
 import math
+from collections.abc import Sequence
 
 import msgspec
 import numpy as np
@@ -27,7 +28,7 @@ from gyrorig_solver.discover import CALIBRATION_PARAMETERS
 from gyrorig_solver.model import PARAMETER_GROUPS, format_short, group_of, parameter_label
 from gyrorig_solver.numerics import normal_upper_tail
 from gyrorig_solver.uncertainty import UncertaintyBudget
-from gyrorig_solver.uncertainty.uncertainty_budget import BudgetEntry
+from gyrorig_solver.uncertainty.uncertainty_budget import BudgetEntry, DataSheetEntry
 
 COVERAGE_FACTOR = 2.0  # of an interval if all errors are normal
 MIN_SHARE = 0.01  # of the total variance; smaller contributions are not listed
@@ -125,7 +126,7 @@ def _base_values(
 
 
 def _budget_rows(
-    name: str, index: int, total: float, entries: tuple[BudgetEntry, ...]
+    name: str, index: int, total: float, entries: Sequence[BudgetEntry | DataSheetEntry]
 ) -> list[BudgetRow]:
     order = np.argsort([-entry.std[index] for entry in entries], kind="stable")[:MAX_ROWS]
     rows = []
@@ -134,8 +135,6 @@ def _budget_rows(
         share = min(1.0, (contribution / total) ** 2) if total > 0.0 else 0.0
         if share < MIN_SHARE:
             break
-        term = entries[k].term
-        rows.append(
-            BudgetRow(name, term.cause, entries[k].place, contribution, share, term.excitation)
-        )
+        entry = entries[k]
+        rows.append(BudgetRow(name, entry.cause, entry.place, contribution, share, entry.remedy))
     return rows

@@ -12,7 +12,12 @@ from gyrorig_solver.estimate.corrected_fit import correct_fit
 from gyrorig_solver.pipeline.board_data import BoardData
 from gyrorig_solver.pipeline.board_results import CriticisedFit
 from gyrorig_solver.pipeline.unit_prior import CONFLICT_REMARK, UnitKnowledge, contradicts
-from gyrorig_solver.uncertainty import UncertaintyBudget, UncertaintySettings, assess_uncertainty
+from gyrorig_solver.uncertainty import (
+    UncertaintyBudget,
+    UncertaintySettings,
+    assess_space,
+    assess_uncertainty,
+)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -20,7 +25,7 @@ class AssessedFit:
     """A fit with its uncertainty budget, its values corrected by what is known of the unit."""
 
     fit: GyroFit
-    budget: UncertaintyBudget | None = None  # None where the reference is no unit's motion
+    budget: UncertaintyBudget | None = None  # None where the reference gives no rates
     unit_prior: UnitPriorRecord | None = None
 
 
@@ -35,6 +40,8 @@ def assess_fit(
     Raises:
         InputError: the stored posterior of the unit is damaged.
     """
+    if criticised.attitude_space is not None:
+        return AssessedFit(criticised.fit, assess_space(criticised.attitude_space, settings))
     if criticised.solution is None:
         return AssessedFit(criticised.fit)
     prior = knowledge.prior_of(data.recordings, settings)

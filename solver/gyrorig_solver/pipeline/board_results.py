@@ -47,6 +47,7 @@ class CriticisedFit:
     solution: ConvergedFit | None  # None where the reference gives no rate at each moment
     explanation: BoardExplanation | None = None  # where causes were searched for
     criticism: FitCriticism | None = None  # where the model was requested
+    attitude_space: AttitudeFitSpace | None = None  # where the reference is attitudes
 
     @property
     def is_adequate(self) -> bool:

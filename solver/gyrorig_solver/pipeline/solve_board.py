@@ -27,6 +27,11 @@ from gyrorig_solver.calibration.paper_calibration import (
     build_paper_calibration,
     solve_with_paper_method,
 )
+from gyrorig_solver.calibration.plausibility import (
+    add_conflicts,
+    find_conflicts,
+    widen_by_conflicts,
+)
 from gyrorig_solver.calibration.provenance import build_provenance
 from gyrorig_solver.calibration.total_uncertainty import with_total_uncertainty
 from gyrorig_solver.estimate import GyroFit
@@ -145,8 +150,14 @@ def _likelihood_document(
     document = msgspec.structs.replace(
         build_fit_document(assessed.fit, data, extend), unit_prior=assessed.unit_prior
     )
+    profile = find_profile(document.board.sensor)
+    full_scale_dps = document.board.config.gyro_full_scale_dps
+    conflicts = find_conflicts(assessed.fit, profile, full_scale_dps)
+    trust = add_conflicts(document.trust, conflicts, profile)
+    document = msgspec.structs.replace(document, trust=trust)
     if assessed.budget is not None:
-        document = with_total_uncertainty(document, assessed.budget)
+        budget = widen_by_conflicts(assessed.budget, conflicts)
+        document = with_total_uncertainty(document, budget)
     if criticised.explanation is not None:
         return with_search_findings(document, criticised.explanation)
     if criticised.criticism is not None:

@@ -1,11 +1,16 @@
 """The type B uncertainty of a calibration: causes that were not identified.
 
-What to use when: `uncertainty_budget.assess_uncertainty` at a fit; `uncertainty_settings` for the
+What to use when: `uncertainty_budget.assess_uncertainty` at a fit to a motion, `assess_space` at
+one to reference attitudes; `uncertainty_settings` for the
 prior sizes of the causes and the limits of the verdict; `marginal_covariance` for the algebra of
 the total, `mixture_interval` for that of the intervals.
 """
 
-from gyrorig_solver.uncertainty.uncertainty_budget import UncertaintyBudget, assess_uncertainty
+from gyrorig_solver.uncertainty.uncertainty_budget import (
+    UncertaintyBudget,
+    assess_space,
+    assess_uncertainty,
+)
 from gyrorig_solver.uncertainty.uncertainty_settings import (
     UncertaintySettings,
     default_settings,
@@ -17,6 +22,7 @@ __all__ = [
     "UncertaintyBudget",
     "UncertaintySettings",
     "UnitPosterior",
+    "assess_space",
     "assess_uncertainty",
     "default_settings",
     "read_settings",

@@ -13,7 +13,7 @@ Together they have the covariance of the cause's effect under its prior:
 What to use when: `unidentified_causes` at a projector; `whitened_effects` for their signals.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 
@@ -69,6 +69,7 @@ def unidentified_causes(
     projector: NuisanceProjector,
     fitted_terms: Sequence[FittedTerm],
     settings: UncertaintySettings,
+    terms: Mapping[str, Term] | None = None,
 ) -> list[UnidentifiedCause]:
     """Return each cause with a prior size, without the sizes that were fitted.
 
@@ -76,13 +77,15 @@ def unidentified_causes(
         projector: at the fit.
         fitted_terms: of the fit.
         settings: prior sizes.
+        terms: all causes by id; None: those of the catalogue.
     """
+    terms = catalogue() if terms is None else terms
     fitted_sizes = {
         term_label(fitted.term): set(fitted.free_indices.tolist()) for fitted in fitted_terms
     }
     causes = []
     for cause, prior in settings.prior_sizes.items():
-        for term in _instances(catalogue()[cause], projector) if prior.size > 0.0 else []:
+        for term in _instances(terms[cause], projector) if prior.size > 0.0 else []:
             fitted = fitted_sizes.get(term_label(term), set())
             sizes = value_indices(term, role="size")
             positions = tuple(k for k, index in enumerate(sizes) if index not in fitted)

@@ -10,6 +10,7 @@ import numpy as np
 
 from gyrorig_solver.data import FloatArray, IntArray
 from gyrorig_solver.discover import CALIBRATION_PARAMETERS
+from gyrorig_solver.discover.attitude.attitude_space import AttitudeFitSpace
 from gyrorig_solver.discover.calibration_changes import CalibrationValues, last_recording_part
 from gyrorig_solver.estimate import (
     GAIN_PARAMETERS,
@@ -52,6 +53,26 @@ class BudgetEntry:
     place: str | None
     std: FloatArray  # (p,), root of the mean square error that would vanish without the cause
 
+    @property
+    def cause(self) -> str:
+        """The id of the cause."""
+        return self.term.cause
+
+    @property
+    def remedy(self) -> str:
+        """The motion or measurement that reduces the contribution."""
+        return self.term.excitation
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DataSheetEntry:
+    """What the difference from the part's data sheet contributes to each parameter, SI."""
+
+    std: FloatArray  # (p,)
+    remedy: str
+    cause = "data_sheet"
+    place: str | None = None
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class UncertaintyBudget:
@@ -59,7 +80,7 @@ class UncertaintyBudget:
 
     covariance: FloatArray  # (p, p), of the causes given the data
     expected_error: FloatArray  # (p,), of the stated values, as far as the data show causes
-    entries: tuple[BudgetEntry, ...]
+    entries: tuple[BudgetEntry | DataSheetEntry, ...]
     settings: UncertaintySettings
     corrections: tuple[FitCorrection, ...] = ()  # of each recording, by what the unit is known for
     unit_information: UnitInformation | None = None  # what the recordings show of the unit
@@ -108,6 +129,38 @@ def assess_uncertainty(
     return _with_offset_ambiguity(budget, solution)
 
 
+def assess_space(
+    space: AttitudeFitSpace, settings: UncertaintySettings | None = None
+) -> UncertaintyBudget:
+    """Return what the causes that a fit to reference attitudes has not identified add to it.
+
+    Args:
+        space: the fit, with the causes that were identified.
+        settings: prior sizes; by default the shipped ones. The causes of a unit do not count.
+    """
+    settings = default_settings() if settings is None else settings
+    size, projector = len(CALIBRATION_PARAMETERS), space.projector()
+    causes = unidentified_causes(projector, space.fitted_terms, settings, space.terms)
+    if not causes:
+        return UncertaintyBudget(np.zeros((size, size)), np.zeros(size), (), settings)
+    statistics = _joint_statistics(projector, causes)
+    calibration = space.calibration()
+    influence = np.stack(
+        [
+            calibration.propagate(last_recording_part(shift, len(space.recording_names)))
+            for shift in statistics.absorbed
+        ]
+    )
+    marginal = MarginalCauses.of(statistics.information, statistics.score, influence)
+    return UncertaintyBudget(
+        covariance=marginal.parameter_covariance,
+        expected_error=marginal.expected_error,
+        entries=tuple(_entries(causes, marginal)),
+        settings=settings,
+        mixture=_mixture(statistics.information, statistics.score, influence, causes),
+    )
+
+
 def _assess_causes(
     solution: ConvergedFit,
     causes: Sequence[UnidentifiedCause],
@@ -140,7 +193,7 @@ def _assess_causes(
         entries=tuple(_entries(causes, marginal)),
         settings=settings,
         unit_information=information,
-        mixture=_mixture(fits[-1], influence, causes),
+        mixture=_mixture(fits[-1].information, fits[-1].score, influence, causes),
     )
 
 
@@ -164,14 +217,17 @@ def _with_offset_ambiguity(budget: UncertaintyBudget, solution: ConvergedFit) ->
 
 
 def _mixture(
-    fit: FitLinearisation, influence: FloatArray, causes: Sequence[UnidentifiedCause]
+    information: FloatArray,
+    score: FloatArray,
+    influence: FloatArray,
+    causes: Sequence[UnidentifiedCause],
 ) -> ErrorMixture:
     """Return the distribution of the errors of the fitted values."""
     cause, probability, scale = _presence(causes)
     return error_mixture(
         UncertainSizes(
-            information=fit.information * np.outer(scale, scale),
-            score=fit.score * scale,
+            information=information * np.outer(scale, scale),
+            score=score * scale,
             influence=influence * scale[:, None],
             cause=cause,
             probability=probability,

@@ -56,18 +56,22 @@ class AttitudeKind(ReferenceKind):
         space, remarks = extend_attitudes(
             fit_attitude_space(load_attitude_recordings(data)), requested
         )
-        return CriticisedFit(space.summarize(remarks), None, criticism=criticise_fit(space))
+        return CriticisedFit(
+            space.summarize(remarks), None, criticism=criticise_fit(space), attitude_space=space
+        )
 
     def fit_explained(
         self, data: BoardData, requested: Sequence[str], explanation: BoardExplanation
     ) -> CriticisedFit:
         """Fit a board with the named causes; see `ReferenceKind.fit_explained`."""
         space = explanation.attitude_space
-        if space is None or not requested:
+        if space is None:
             return super().fit_explained(data, requested, explanation)
         check_fittable(requested)
         extended, remarks = extend_attitudes(space, requested)
-        return CriticisedFit(extended.summarize(remarks), None, explanation)
+        return CriticisedFit(
+            extended.summarize(remarks), None, explanation, attitude_space=extended
+        )
 
     def explain(self, data: BoardData, held_out: Recording | None) -> BoardExplanation:
         """Search for the causes of the residual; see `ReferenceKind.explain`."""
