@@ -14,6 +14,7 @@ stale. Only HALT is written first, in step or not.
 
 import contextlib
 from collections.abc import Callable
+from dataclasses import replace
 
 from gyrorig_daemon.links.ports.port_hub import Chunk, PortChange
 from gyrorig_daemon.links.pump import Pump
@@ -26,6 +27,7 @@ from gyrorig_protocol.ptu import (
     FirmwareVersion,
     InvalidLine,
     LimitFlag,
+    MotionTranslator,
     PtuCommand,
     PtuReplyParser,
     Reply,
@@ -76,6 +78,7 @@ class PtuClient:
         self._on_exchange = on_exchange
         self._timeout_s = timeout_s
         self._parser = PtuReplyParser()
+        self._translator = MotionTranslator()
         self._raw = bytearray()
         self._reply: Reply | None = None
         self._in_flight: PtuCommand | None = None
@@ -301,10 +304,12 @@ class PtuClient:
             first_ns, last_ns = reply.first_byte_ns, reply.last_byte_ns
             wait_ns = last_ns - request_ns
             self.counts.reply_wait_max_ns = max(self.counts.reply_wait_max_ns, wait_ns)
-        return Exchange(
+        exchange = Exchange(
             command, request_ns, sent_ns, first_ns, last_ns, reply, bytes(self._raw),
             self._limit_hit,
         )  # fmt: skip
+        orders = self._translator.translate(command.text, exchange.accepted)
+        return replace(exchange, orders=orders) if orders else exchange
 
     def _resynchronise(self) -> None:
         """Send a bare delimiter and discard what is being received."""

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, field
 
+from gyrorig_protocol.motion_orders import AxisOrder
 from gyrorig_protocol.ptu import PtuCommand, Reply
 
 
@@ -17,6 +18,12 @@ class Exchange:
     reply: Reply | None  # None: no reply in time, or an invalid one
     raw: bytes  # everything received meanwhile
     limit_hit: bool
+    orders: tuple[AxisOrder, ...] = ()  # what the command means; none if it moves nothing
+
+    @property
+    def accepted(self) -> bool:
+        """Whether the unit has acknowledged the command, and reached no limit meanwhile."""
+        return self.reply is not None and self.reply.ok and not self.limit_hit
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,9 +1,13 @@
-"""Messages of the pan-tilt unit: exchanges and positions as a recording keeps them."""
+"""Messages of the pan-tilt unit: exchanges, orders and positions as a recording keeps them."""
+
+import math
 
 from gyrorig_daemon.clocks import OnlineClock
 from gyrorig_daemon.clocks.capture_clock import CaptureClock
 from gyrorig_daemon.motion import Exchange, Position, UnitFacts
 from gyrorig_daemon.recorder.recorder import Recorder
+from gyrorig_protocol.motion_orders import AxisOrder, OrderAxis, OrderKind
+from gyrorig_protocol.ptu import Axis
 from gyrorig_protocol.recording.messages import (
     PTU_COMMAND_TOPIC,
     PTU_POSITION_TOPIC,
@@ -12,8 +16,10 @@ from gyrorig_protocol.recording.messages import (
     PtuPosition,
     PtuStatus,
 )
+from gyrorig_protocol.recording.motion_messages import MOTION_ORDER_TOPIC, MotionOrder
 
 _COUNTER_BITS = 32  # unknown for the E46; a larger value shows that it has 64
+UNSIGNED_KINDS = (OrderKind.SPEED, OrderKind.BASE_SPEED, OrderKind.ACCELERATION)
 _POLLS_PER_BRACKET = 5  # a bracket is expensive: not for every poll
 
 
@@ -26,6 +32,7 @@ class PtuLog:
         self._facts: UnitFacts | None = None
         self._command_count = 0
         self._position_count = 0
+        self._order_count = 0
         self.position: PtuPosition | None = None  # the last one
         self.controller_clock: OnlineClock | None = None
 
@@ -36,7 +43,7 @@ class PtuLog:
             self.controller_clock = OnlineClock(float(facts.counter_hz), _COUNTER_BITS)
 
     def record_exchange(self, exchange: Exchange) -> None:
-        """Record an exchange verbatim."""
+        """Record an exchange verbatim, and the orders in it."""
         code = CommandCode.OK
         if exchange.limit_hit:
             code = CommandCode.LIMIT
@@ -60,6 +67,37 @@ class PtuLog:
             utc_ns(exchange.reply_ns),
         )
         self._command_count += 1
+        for order in exchange.orders:
+            self._record_order(exchange, order)
+
+    def _record_order(self, exchange: Exchange, order: AxisOrder) -> None:
+        has_reply, utc_ns = exchange.reply is not None, self._capture.utc_ns
+        self._recorder.put_or_hold(
+            MOTION_ORDER_TOPIC,
+            MotionOrder(
+                request_time_ns=utc_ns(exchange.request_ns),
+                first_byte_time_ns=utc_ns(exchange.first_byte_ns) if has_reply else 0,
+                reply_time_ns=utc_ns(exchange.reply_ns) if has_reply else 0,
+                value=self._si_value(order),
+                steps=order.value,
+                speed_steps_s=order.speed_steps_s,
+                sequence=self._order_count & 0xFFFF_FFFF,
+                command_bytes=len(exchange.command.encode()),
+                axis=int(order.axis),
+                kind=int(order.kind),
+                accepted=int(exchange.accepted),
+            ),
+            utc_ns(exchange.reply_ns),
+        )
+        self._order_count += 1
+
+    def _si_value(self, order: AxisOrder) -> float:
+        """Return the value in rad, rad/s or rad/s^2; NaN while the step size is not known."""
+        if self._facts is None or order.axis is OrderAxis.BOTH:
+            return math.nan
+        axis = Axis.PAN if order.axis is OrderAxis.PAN else Axis.TILT
+        rad = self._facts.axis(axis).to_rad(1) * order.value
+        return abs(rad) if order.kind in UNSIGNED_KINDS else rad
 
     def record_position(self, position: Position) -> None:
         """Record an answered poll.

@@ -5,7 +5,7 @@ written record; `replay_records` returns what a new part starts with: open phase
 unit's unfinished commands (`PendingCommands`).
 
 Theory of operation. A part that starts in the middle of a move contains positions but no
-command. From such a part nobody could determine where the unit came from, how fast it should
+order. From such a part nobody could determine where the unit came from, how fast it should
 go, and when it started. Therefore the commands since the unit was last at rest are kept as
 recorded, and the last positions before them. The unit is at rest when both axes have twice
 reported their targets; after a halt, an offset or a homing, when the positions have not changed
@@ -13,21 +13,21 @@ for a second; and at its first report, unless a target was commanded before. Whi
 rest nothing must be repeated, because every move is commanded with its speeds.
 """
 
-import re
+import math
 
 from gyrorig_daemon.recorder.ram_buffer import Record
 from gyrorig_protocol.errors import InputError
+from gyrorig_protocol.motion_orders import OrderAxis, OrderKind
 from gyrorig_protocol.recording.messages import (
     PTU_COMMAND_TOPIC,
     PTU_POSITION_TOPIC,
     SESSION_EVENT_TOPIC,
-    CommandCode,
     EventKind,
-    PtuCommandRecord,
     PtuPosition,
     PtuStatus,
     SessionEvent,
 )
+from gyrorig_protocol.recording.motion_messages import MOTION_ORDER_TOPIC, MotionOrder
 
 MAX_COMMANDS = 256  # limit without a rest
 STANDSTILL_NS = 1_000_000_000
@@ -35,14 +35,11 @@ _AXIS_BITS = (
     int(PtuStatus.PAN_ANSWERED),
     int(PtuStatus.TILT_ANSWERED),
 )  # enum members take 1 us
-_TARGET = re.compile(r"([PT])P([-+]?\d+)\s*")
-# Commands that can start an axis or change its motion: targets, speeds, halts, modes, homing.
-_MOTION_COMMAND = re.compile(
-    r"[PT][PSODAB][-+]?\d+\s*|B[-+]?\d+,.*|[AIS]\s*|H[PT]?\s*|C[IV]\s*|R[PT]?\s*"
-)
-_UNKNOWN_TARGET_COMMAND = re.compile(
-    r"[PT]O.*|B.*|H[PT]?\s*|C[IV]\s*|R[PT]?\s*"
-)  # ends at an unknown position
+_SINGLE_AXES = (OrderAxis.PAN, OrderAxis.TILT)
+# after these the axis ends at a position that no order states
+_UNKNOWN_TARGET_KINDS = (
+    OrderKind.OFFSET, OrderKind.HALT, OrderKind.HOME, OrderKind.RATE, OrderKind.RATE_CHANGE
+)  # fmt: skip
 # The angle of a turn is known only for the whole turn, so half of it must not be repeated.
 _WHOLE_ONLY = "turn"
 
@@ -51,28 +48,34 @@ class PendingCommands:
     """The commands since the unit was last at rest, and where that was."""
 
     def __init__(self) -> None:
-        self._commands: list[Record] = []
+        self._commands: list[Record] = []  # commands as sent, and the orders in them
+        self._order_count = 0
         # last positions before the commands, by axis
         self._rest_records: list[Record | None] = [None, None]
         self._targets: list[int | None] = [None, None]
         self._last_answers: list[list[int]] = [[], []]  # the last two positions of each axis
         self._has_unknown_target = self._has_answer = False
         self._last_change: tuple[int, int, int] = (0, 0, 0)  # both counts, and since when
-        self._next_sequence = {PTU_COMMAND_TOPIC: 0, PTU_POSITION_TOPIC: 0}
+        self._verbatim: Record | None = None  # the last command; its orders follow
+        self._next_sequence = {PTU_COMMAND_TOPIC: 0, PTU_POSITION_TOPIC: 0, MOTION_ORDER_TOPIC: 0}
 
     def observe(self, record: Record) -> None:
         """Process a record of the unit that was written; others are ignored."""
         try:
             if record.topic == PTU_POSITION_TOPIC:
                 self._observe_position(record, PtuPosition.decode(record.payload))
+            elif record.topic == MOTION_ORDER_TOPIC:
+                self._observe_order(record, MotionOrder.decode(record.payload))
             elif record.topic == PTU_COMMAND_TOPIC:
-                self._observe_command(record, PtuCommandRecord.decode(record.payload))
+                self._next_sequence[PTU_COMMAND_TOPIC] = record.sequence + 1
+                self._verbatim = record
         except InputError:
             return  # written by this program; whatever it is, it moves nothing
 
     def invalidate(self) -> None:
         """Forget the commands, because records were lost."""
         self._commands.clear()
+        self._order_count = 0
         self._rest_records = [None, None]
         self._has_unknown_target = self._has_answer = True  # until it is at rest
 
@@ -84,31 +87,39 @@ class PendingCommands:
         position_records = sorted(
             {record.sequence: record for record in rest_records}.values(), key=_sequence_of
         )
-        return [*self._renumbered(position_records), *self._renumbered(self._commands)]
+        return [
+            *self._renumbered(position_records),
+            *self._renumbered([r for r in self._commands if r.topic == PTU_COMMAND_TOPIC]),
+            *self._renumbered([r for r in self._commands if r.topic == MOTION_ORDER_TOPIC]),
+        ]
 
     def _renumbered(self, records: list[Record]) -> list[Record]:
+        if not records:
+            return []
         first_sequence = self._next_sequence[records[0].topic] - len(records)
         return [
             record._replace(sequence=(first_sequence + index) & 0xFFFF_FFFF)
             for index, record in enumerate(records)
         ]
 
-    def _observe_command(self, record: Record, command_record: PtuCommandRecord) -> None:
-        self._next_sequence[PTU_COMMAND_TOPIC] = record.sequence + 1
-        text = command_record.command.strip().upper()
-        if command_record.code != CommandCode.OK or not _MOTION_COMMAND.fullmatch(text):
+    def _observe_order(self, record: Record, order: MotionOrder) -> None:
+        self._next_sequence[MOTION_ORDER_TOPIC] = record.sequence + 1
+        verbatim, self._verbatim = self._verbatim, None
+        if not order.accepted:
             return
+        if verbatim is not None and verbatim.log_ns == record.log_ns:
+            self._commands.append(verbatim)
         self._commands.append(record)
-        if match := _TARGET.fullmatch(text):
-            self._targets["PT".index(match[1])] = int(match[2])
-            self._has_unknown_target = False
-        self._has_unknown_target = self._has_unknown_target or bool(
-            _UNKNOWN_TARGET_COMMAND.fullmatch(text)
-        )
+        self._order_count += 1
+        if order.kind == OrderKind.TARGET and order.axis in _SINGLE_AXES:
+            self._targets[order.axis] = round(order.steps)
+            self._has_unknown_target = not math.isnan(order.speed_steps_s)
+        elif order.kind in _UNKNOWN_TARGET_KINDS:
+            self._has_unknown_target = True
         for answers in self._last_answers:
             answers.clear()
         self._last_change = (*self._last_change[:2], record.log_ns)
-        if len(self._commands) > MAX_COMMANDS:
+        if self._order_count > MAX_COMMANDS:
             self.invalidate()
 
     def _observe_position(self, record: Record, position: PtuPosition) -> None:
@@ -123,6 +134,7 @@ class PendingCommands:
             if not self._is_at_rest(record.log_ns):
                 return
             self._commands.clear()
+            self._order_count = 0
             self._has_unknown_target = False
         for axis, bit in enumerate(_AXIS_BITS):
             if position.status & bit:
@@ -153,6 +165,7 @@ class StateReplay:
         self._observers = {
             SESSION_EVENT_TOPIC: self._phases.observe,
             PTU_COMMAND_TOPIC: self._unit.observe,
+            MOTION_ORDER_TOPIC: self._unit.observe,
             PTU_POSITION_TOPIC: self._unit.observe,
         }
 

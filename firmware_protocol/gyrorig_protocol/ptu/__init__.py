@@ -5,6 +5,7 @@ What to use when:
 - `PtuReplyParser` parses received bytes into `Reply`, `LimitFlag` and other events.
 - `ptu_commands` has the commands; every command has the kind of its answer.
 - `read_value` reads a reply as a value or a fault; `require_*` return the value or raise an error.
+- `MotionTranslator` turns commands into neutral orders of motion.
 - `Dialect`, `dialect_features`, `dialect_from_probe` describe what a controller supports.
 """
 
@@ -16,6 +17,7 @@ from gyrorig_protocol.ptu.dialect import (
     dialect_from_probe,
     dialect_from_version,
 )
+from gyrorig_protocol.ptu.motion_translation import MotionTranslator
 from gyrorig_protocol.ptu.ptu_commands import (
     AnswerKind,
     PtuCommand,
@@ -66,6 +68,7 @@ __all__ = [
     "InvalidLineReason",
     "LimitFlag",
     "MotionReading",
+    "MotionTranslator",
     "PowerReading",
     "PtuCommand",
     "PtuEvent",

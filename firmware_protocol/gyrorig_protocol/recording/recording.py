@@ -51,6 +51,7 @@ from gyrorig_protocol.recording.messages import (
     SessionEvent,
     imu_raw_topic,
 )
+from gyrorig_protocol.recording.motion_messages import MOTION_ORDER_TOPIC, MotionOrder
 from gyrorig_protocol.recording.standard_messages import Diagnostics, Log
 
 RecordArray = npt.NDArray[np.void]
@@ -65,6 +66,7 @@ MESSAGE_TYPES: Mapping[str, type[Any]] = {
         ImuRaw,
         PtuPosition,
         PtuCommandRecord,
+        MotionOrder,
         SessionEvent,
         ClockPing,
         HostClock,
@@ -341,6 +343,10 @@ class Recording:
     def ptu_commands(self) -> list[PtuCommandRecord]:
         """Return the commands to the pan-tilt unit and their replies, without position polling."""
         return self._read_messages(PTU_COMMAND_TOPIC, PtuCommandRecord)
+
+    def motion_orders(self) -> RecordArray:
+        """Return the unit's orders of motion, as `array`; empty in an old recording."""
+        return self._read_array(MOTION_ORDER_TOPIC, MotionOrder)
 
     def events(self) -> list[SessionEvent]:
         """Return the session's phases, notes and faults."""

@@ -10,15 +10,14 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from gyrorig_protocol.errors import UsageError
+from gyrorig_protocol.motion_orders import AxisOrder, OrderAxis, OrderKind
 from gyrorig_protocol.program import Home, MotionProgram, Move, Rest, unroll_steps
-from gyrorig_protocol.ptu import Axis, Quantity, assign_quantity
-from gyrorig_protocol.ptu.ptu_commands import IMMEDIATE_EXECUTION, SLAVED_EXECUTION
 from gyrorig_solver.data import FloatArray
 from gyrorig_solver.plan.unit_model import ARCSEC_PER_DEG, AxisModel, UnitModel
 from gyrorig_solver.reference import MotionLimits, MotionProfile, plan_motion
 from gyrorig_solver.reference.unit.motion_profile import ProfileCommand
 from gyrorig_solver.reference.unit.move_fit import UnitPolls
-from gyrorig_solver.reference.unit.unit_moves import AXES, UnitExchange
+from gyrorig_solver.reference.unit.unit_moves import AXES, UnitOrder
 
 HALT_WATCH_S = 0.3  # after the program the daemon halts the unit and watches it stand
 MAX_DURATION_S = 3600.0  # what a prediction needs grows with the cube of the moves
@@ -31,7 +30,7 @@ GOLDEN_RATIO = 0.6180339887498949
 class ProgramTimeline:
     """The simulated commands, motion profiles and polls of a program."""
 
-    exchanges: tuple[UnitExchange, ...]
+    orders: tuple[UnitOrder, ...]
     profiles: tuple[tuple[MotionProfile, ...], tuple[MotionProfile, ...]]  # pan, tilt, in steps
     start_steps: tuple[int, int]
     end_steps: tuple[int, int]
@@ -96,7 +95,7 @@ class _ProgramRun:
     unit: UnitModel
     start_steps: tuple[int, int]
     now_s: float = 0.0
-    exchanges: list[UnitExchange] = field(default_factory=list)
+    orders: list[UnitOrder] = field(default_factory=list)
     profiles: tuple[list[MotionProfile], list[MotionProfile]] = field(
         default_factory=lambda: ([], [])
     )
@@ -116,14 +115,14 @@ class _ProgramRun:
         """Send the commands of a move and poll until it is done."""
         targets = list(self._axis_targets(step, where))
         for axis, _, speed in targets:
-            self._send(assign_quantity(_AXIS[axis], Quantity.SPEED, speed).text)
+            self._send(OrderKind.SPEED, _AXIS[axis], speed)
         if len(targets) > 1:
-            self._send(SLAVED_EXECUTION.text)
+            self._send(OrderKind.COLLECT)
         start_s = []
         for axis, target, _ in targets:
-            start_s.append(self._send(assign_quantity(_AXIS[axis], Quantity.POSITION, target).text))
+            start_s.append(self._send(OrderKind.TARGET, _AXIS[axis], target))
         if len(targets) > 1:
-            start_s = [self._send(IMMEDIATE_EXECUTION.text)] * len(targets)
+            start_s = [self._send(OrderKind.IMMEDIATE)] * len(targets)
         end_s = self.now_s
         for (axis, target, speed), command_s in zip(targets, start_s, strict=True):
             profile = self._profile(axis, target, speed, command_s + self.unit.window_s / 2.0)
@@ -146,7 +145,7 @@ class _ProgramRun:
             base, acceleration = self._speed_law(k)
             settings[f"{name}_base_speed"], settings[f"{name}_acceleration"] = base, acceleration
         return ProgramTimeline(
-            tuple(self.exchanges),
+            tuple(self.orders),
             (tuple(self.profiles[0]), tuple(self.profiles[1])),
             self.start_steps,
             (self.position_steps[0], self.position_steps[1]),
@@ -175,9 +174,10 @@ class _ProgramRun:
             float(self.position_steps[axis]), [ProfileCommand(start_s, "to", float(target), limits)]
         )
 
-    def _send(self, text: str) -> float:
+    def _send(self, kind: OrderKind, axis: OrderAxis = OrderAxis.BOTH, value: float = 0.0) -> float:
         sent_s = self.now_s
-        self.exchanges.append(UnitExchange(sent_s, sent_s + self.unit.window_s, True, text))
+        order = AxisOrder(kind, axis, float(value))
+        self.orders.append(UnitOrder(sent_s, sent_s + self.unit.window_s, True, order))
         self.now_s += self.unit.command_interval_s
         return sent_s
 
@@ -222,7 +222,7 @@ class _ProgramRun:
                 yield axis, model.to_steps(angle_deg), model.to_steps(speed_deg_s)
 
 
-_AXIS = (Axis.PAN, Axis.TILT)
+_AXIS = (OrderAxis.PAN, OrderAxis.TILT)
 
 
 def _check_limits(

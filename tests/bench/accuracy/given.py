@@ -18,7 +18,8 @@ from gyrorig_solver.reference.reference_motion import EvaluatedMotion
 from gyrorig_solver.reference.unit.controller_counter import counter_instants
 from gyrorig_solver.reference.unit.move_fit import UnitPolls
 from gyrorig_solver.reference.unit.pan_tilt_recording import choose_reference
-from gyrorig_solver.reference.unit.unit_moves import MotionReader, UnitExchange
+from gyrorig_solver.reference.unit.recorded_orders import UnitExchange, translate_exchanges
+from gyrorig_solver.reference.unit.unit_moves import MotionReader
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -80,7 +81,9 @@ def answered_reference(session: Session) -> ReferenceMotion:
     exchanges = [
         UnitExchange(command, answered, True, text) for command, answered, text in session.orders
     ]
-    motion = MotionReader(session.settings, (0, 0), polls.count_at_rest).read(exchanges)
+    motion = MotionReader(session.settings, (0, 0), polls.count_at_rest).read(
+        translate_exchanges(exchanges)
+    )
     return choose_reference(motion, polls, (RAD_PER_STEP, RAD_PER_STEP))
 
 

@@ -87,13 +87,13 @@ def test_axes_that_start_together_move_together(rig: RigModel) -> None:
     timeline = simulate_program(program("{move: {pan_deg: 90.0, tilt_deg: 20.0}}"), rig.unit)
     pan, tilt = (courses[0] for courses in timeline.profiles)
     assert pan.start_s[0] == tilt.start_s[0]
-    assert [e.command for e in timeline.exchanges] == [
-        "PS583",
-        "TS583",
-        "S",
-        "PP1750",
-        "TP389",
-        "I",
+    assert [(o.order.kind.name, o.order.axis.name, o.order.value) for o in timeline.orders] == [
+        ("SPEED", "PAN", 583.0),
+        ("SPEED", "TILT", 583.0),
+        ("COLLECT", "BOTH", 0.0),
+        ("TARGET", "PAN", 1750.0),
+        ("TARGET", "TILT", 389.0),
+        ("IMMEDIATE", "BOTH", 0.0),
     ]
     assert timeline.end_steps == (1750, 389)
     assert pan.end_s < timeline.program_s < pan.end_s + 0.1

@@ -22,6 +22,7 @@ from gyrorig_protocol.recording.messages import (
     ReferenceAttitude,
     SessionEvent,
 )
+from gyrorig_protocol.recording.motion_messages import MotionOrder
 from gyrorig_protocol.recording.recording import MESSAGE_TYPES
 from gyrorig_protocol.recording.standard_messages import Diagnostics, DiagnosticStatus, Log
 
@@ -41,6 +42,9 @@ MESSAGES: dict[type[Any], st.SearchStrategy[Any]] = {
         PtuPosition, times, times, times, i32, i32, floats, floats, u64, u32, u16
     ),
     PtuCommandRecord: st.builds(PtuCommandRecord, times, times, times, u32, u8, texts, texts),
+    MotionOrder: st.builds(
+        MotionOrder, times, times, times, floats, floats, floats, u32, u16, u8, u8, u8
+    ),
     SessionEvent: st.builds(SessionEvent, times, u8, texts, texts),
     ClockPing: st.builds(ClockPing, times, times, u64, u64, u32, u16),
     HostClock: st.builds(HostClock, times, times, times, floats, floats, u32),
@@ -122,6 +126,7 @@ def test_rosbags_reads_the_same(plain: Plain) -> None:
     for message in (
         ImuRaw(t, 2**63, 2**31, 0x701, -5, (1, -2, 3), (4, -5, 6), (-7, 8, -9)),
         PtuCommandRecord(t, t + 1, t + 2, 3, 1, "PP ", "! é"),
+        MotionOrder(t, t + 1, t + 2, 0.1, 111.0, 1000.0, 3, 7, 1, 0, 1),
         Diagnostics(t, (DiagnosticStatus(1, "a", "b", "c", {"k": "v"}),), "f"),
         Log(t, 20, "n", "m", "f", "g", 7),
     ):

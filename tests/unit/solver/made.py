@@ -8,7 +8,8 @@ from gyrorig_solver.data.clocks import ClockMap, map_clock
 from gyrorig_solver.data.samples import GyroSamples
 from gyrorig_solver.reference import PanTiltReference
 from gyrorig_solver.reference.unit.move_fit import UnitPolls, fit_moves
-from gyrorig_solver.reference.unit.unit_moves import MotionReader, UnitExchange
+from gyrorig_solver.reference.unit.recorded_orders import UnitExchange, translate_exchanges
+from gyrorig_solver.reference.unit.unit_moves import MotionReader
 
 RAD_PER_STEP = float(np.radians(185.142857 / 3600.0))
 
@@ -22,7 +23,7 @@ def reference_of(rig: Any) -> PanTiltReference:
     }
     exchanges = [UnitExchange(a, b, True, c) for a, b, c in rig.exchanges]
     first = (int(rig.poll_steps[0][0]), int(rig.poll_steps[0][1]))
-    motion = MotionReader(settings, first).read(exchanges)
+    motion = MotionReader(settings, first).read(translate_exchanges(exchanges))
     valid = np.ones((rig.poll_lo_s.size, 2), dtype=np.bool_)
     polls = UnitPolls(rig.poll_lo_s, rig.poll_hi_s, rig.poll_steps, valid)
     span = (float(rig.poll_lo_s[0]), float(rig.poll_hi_s[-1]))

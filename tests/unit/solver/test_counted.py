@@ -15,8 +15,9 @@ from gyrorig_solver.reference.unit.counted_reference import CountedReference, co
 from gyrorig_solver.reference.unit.motion_profile import ProfileCommand
 from gyrorig_solver.reference.unit.move_fit import UnitPolls
 from gyrorig_solver.reference.unit.pan_tilt_recording import choose_reference
+from gyrorig_solver.reference.unit.recorded_orders import UnitExchange, translate_exchanges
 from gyrorig_solver.reference.unit.stage_kinematics import stage_rate
-from gyrorig_solver.reference.unit.unit_moves import MotionReader, UnitExchange
+from gyrorig_solver.reference.unit.unit_moves import MotionReader
 
 STEP_RAD = float(np.radians(185.142857 / 3600.0))
 LAW = MotionLimits(1200.0, 4000.0, 60.0)
@@ -128,7 +129,9 @@ def test_commands_are_used_if_they_explain_the_counts() -> None:
     output = [UnitExchange(at, at + 0.005, True, f"{'PT'[axis]}P{to}") for at, axis, to in MOVES]
 
     def chosen(exchanges: list[UnitExchange]) -> PanTiltReference | CountedReference:
-        motion = MotionReader(SETTINGS, (0, 0), made.polls.count_at_rest).read(exchanges)
+        motion = MotionReader(SETTINGS, (0, 0), made.polls.count_at_rest).read(
+            translate_exchanges(exchanges)
+        )
         return choose_reference(motion, made.polls, (STEP_RAD, STEP_RAD))
 
     whole = chosen(output)

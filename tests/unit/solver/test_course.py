@@ -9,8 +9,9 @@ from scipy.spatial.transform import Rotation
 from gyrorig_solver.reference import MotionLimits, MotionProfile, plan_motion
 from gyrorig_solver.reference.unit.motion_profile import CommandKind, ProfileCommand
 from gyrorig_solver.reference.unit.profile_derivatives import differentiate_move
+from gyrorig_solver.reference.unit.recorded_orders import UnitExchange, translate_exchanges
 from gyrorig_solver.reference.unit.stage_kinematics import stage_rate
-from gyrorig_solver.reference.unit.unit_moves import MotionReader, UnitExchange, UnitMotion
+from gyrorig_solver.reference.unit.unit_moves import MotionReader, UnitMotion
 
 USUAL = MotionLimits(speed_steps_s=1000.0, acceleration_steps_s2=2000.0, base_speed_steps_s=100.0)
 limits = st.builds(
@@ -173,12 +174,14 @@ def read(exchanges: list[UnitExchange], rests: dict[int, int] | None = None) -> 
         assert after_s < before_s
         return (rests or {}).get(axis) if after_s > 3.0 else None
 
-    return MotionReader(SETTINGS, (0, 0), resting).read(exchanges)
+    return MotionReader(SETTINGS, (0, 0), resting).read(translate_exchanges(exchanges))
 
 
 def test_moves_are_read_from_commands() -> None:
     motion = MotionReader(SETTINGS, (10, -5)).read(
-        exchanges_of("PS500", "PP1010 ", "TS300", "TO-95", "PP1010", "PA4000", "PB100", "PP10")
+        translate_exchanges(
+            exchanges_of("PS500", "PP1010 ", "TS300", "TO-95", "PP1010", "PA4000", "PB100", "PP10")
+        )
     )
     assert [(m.axis, m.from_steps, m.to_steps) for m in motion.moves] == [
         (0, 10, 1010),

@@ -20,7 +20,8 @@ from gyrorig_solver.model import factorise
 from gyrorig_solver.reference import PanTiltReference
 from gyrorig_solver.reference.unit.controller_counter import counter_instants
 from gyrorig_solver.reference.unit.move_fit import UnitPolls, fit_moves
-from gyrorig_solver.reference.unit.unit_moves import MotionReader, UnitExchange
+from gyrorig_solver.reference.unit.recorded_orders import UnitExchange, translate_exchanges
+from gyrorig_solver.reference.unit.unit_moves import MotionReader
 
 ORIGIN_NS = 7_000_000_000
 ANSWER = re.compile(rb"\* P\((-?\d+),(-?\d+)\) S\((-?\d+),(-?\d+)\) (\d+)")
@@ -104,7 +105,9 @@ def reference_of(played: HostLog, counter: bool = True) -> PanTiltReference:
     )
     if instants is not None:
         polls = UnitPolls(instants.at_s, instants.at_s, polls.steps, polls.valid, instants.width_s)
-    motion = MotionReader(settings, (0, 0), polls.count_at_rest).read(played.exchanges)
+    motion = MotionReader(settings, (0, 0), polls.count_at_rest).read(
+        translate_exchanges(played.exchanges)
+    )
     span = (float(polls.earliest_s[0]), float(polls.latest_s[-1]))
     return PanTiltReference.of(motion, fit_moves(motion, polls), (STEP_RAD, STEP_RAD), span)
 

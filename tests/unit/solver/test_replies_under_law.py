@@ -11,12 +11,13 @@ from gyrorig_solver.reference.unit.law_fit import LawFits
 from gyrorig_solver.reference.unit.move_fit import MoveFit, UnitPolls, fit_moves
 from gyrorig_solver.reference.unit.move_table import MoveTable
 from gyrorig_solver.reference.unit.profile_derivatives import differentiate_move
+from gyrorig_solver.reference.unit.recorded_orders import UnitExchange, translate_exchanges
 from gyrorig_solver.reference.unit.rounded_trajectory import (
     RoundedTrajectory,
     build_executed_trajectories,
 )
 from gyrorig_solver.reference.unit.trapezoidal_moves import TrapezoidalMoves
-from gyrorig_solver.reference.unit.unit_moves import MotionReader, UnitExchange, UnitMotion
+from gyrorig_solver.reference.unit.unit_moves import MotionReader, UnitMotion
 
 SETTINGS = {
     f"{axis}_{kind}": value
@@ -37,7 +38,7 @@ STEPS = np.array([1e-5, 1e-5, 1e-3, 1e-3, 1e-6, 1e-6])
 
 def commanded() -> UnitMotion:
     exchanges = [UnitExchange(at_s, at_s + 0.01, True, text) for at_s, text in COMMANDS]
-    return MotionReader(SETTINGS, (0, 0)).read(exchanges)
+    return MotionReader(SETTINGS, (0, 0)).read(translate_exchanges(exchanges))
 
 
 def executed_polls(motion: UnitMotion, law: MotionLaw) -> UnitPolls:

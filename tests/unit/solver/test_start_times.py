@@ -17,8 +17,9 @@ from gyrorig_solver.reference.unit.motion_profile import ProfileCommand
 from gyrorig_solver.reference.unit.move_fit import MoveFit, UnitPolls, fit_moves
 from gyrorig_solver.reference.unit.pan_tilt_recording import unexplained_spans
 from gyrorig_solver.reference.unit.profile_derivatives import differentiate_move
+from gyrorig_solver.reference.unit.recorded_orders import UnitExchange, translate_exchanges
 from gyrorig_solver.reference.unit.rest_variance import VARIANCE_CANDIDATES
-from gyrorig_solver.reference.unit.unit_moves import MotionReader, UnitExchange, UnitMotion
+from gyrorig_solver.reference.unit.unit_moves import MotionReader, UnitMotion
 
 BASE, RAMP = 100.0, 4000.0
 SPEEDS = (600.0, 1500.0)
@@ -81,7 +82,7 @@ def make(
         after = at_s >= course.start_s[0]
         steps[after, axis] = course.position_steps(at_s[after])
     valid = rng.uniform(size=steps.shape) > 0.02
-    motion = MotionReader(SETTINGS, (0, 0)).read(exchanges)
+    motion = MotionReader(SETTINGS, (0, 0)).read(translate_exchanges(exchanges))
     polls = UnitPolls(request_s, hi_s, np.rint(steps), valid)
     return SimulatedMotion(motion, polls, np.array(starts))
 

@@ -9,8 +9,9 @@ from gyrorig_solver.reference import MotionLimits, MotionProfile, plan_motion
 from gyrorig_solver.reference.unit.axis_trajectory import Trajectory, build_trajectories
 from gyrorig_solver.reference.unit.motion_profile import ProfileCommand
 from gyrorig_solver.reference.unit.move_table import MotionParameters, MoveTable
+from gyrorig_solver.reference.unit.recorded_orders import UnitExchange, translate_exchanges
 from gyrorig_solver.reference.unit.trapezoidal_moves import TrapezoidalMoves
-from gyrorig_solver.reference.unit.unit_moves import MotionReader, UnitExchange, UnitMotion
+from gyrorig_solver.reference.unit.unit_moves import MotionReader, UnitMotion
 
 moves = st.tuples(
     st.integers(1, 6000),
@@ -86,7 +87,7 @@ SETTINGS = {
 
 def motion_of(*commands: tuple[float, str]) -> UnitMotion:
     exchanges = [UnitExchange(at_s, at_s + 0.01, True, text) for at_s, text in commands]
-    return MotionReader(SETTINGS, (7, -3)).read(exchanges)
+    return MotionReader(SETTINGS, (7, -3)).read(translate_exchanges(exchanges))
 
 
 SCRIPT = (

@@ -84,6 +84,40 @@ string reply
     builtin_interfaces__Time=_TIME,
 )
 
+MOTION_ORDER = _with_dependencies(
+    """\
+uint8 PAN=0
+uint8 TILT=1
+uint8 BOTH=2
+uint8 TARGET=0
+uint8 OFFSET=1
+uint8 SPEED=2
+uint8 SPEED_CHANGE=3
+uint8 RATE=4
+uint8 RATE_CHANGE=5
+uint8 BASE_SPEED=6
+uint8 ACCELERATION=7
+uint8 HALT=8
+uint8 COLLECT=9
+uint8 START=10
+uint8 IMMEDIATE=11
+uint8 HOME=12
+uint8 RESOLUTION=13
+builtin_interfaces/Time request_time
+builtin_interfaces/Time first_byte_time
+builtin_interfaces/Time reply_time
+float64 value
+float64 steps
+float64 speed_steps
+uint32 sequence
+uint16 command_bytes
+uint8 axis
+uint8 kind
+uint8 accepted
+""",
+    builtin_interfaces__Time=_TIME,
+)
+
 SESSION_EVENT = _with_dependencies(
     """\
 uint8 PHASE_BEGIN=0
@@ -163,6 +197,7 @@ SCHEMAS: Mapping[str, str] = MappingProxyType(
         "gyrorig_msgs/msg/ImuRaw": IMU_RAW,
         "gyrorig_msgs/msg/PtuPosition": PTU_POSITION,
         "gyrorig_msgs/msg/PtuCommand": PTU_COMMAND,
+        "gyrorig_msgs/msg/MotionOrder": MOTION_ORDER,
         "gyrorig_msgs/msg/SessionEvent": SESSION_EVENT,
         "gyrorig_msgs/msg/ClockPing": CLOCK_PING,
         "gyrorig_msgs/msg/HostClock": HOST_CLOCK,

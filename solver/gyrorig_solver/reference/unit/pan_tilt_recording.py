@@ -20,7 +20,8 @@ from gyrorig_solver.reference.unit.move_fit import UnitPolls, fit_moves
 from gyrorig_solver.reference.unit.move_table import MoveTable
 from gyrorig_solver.reference.unit.pan_tilt_reference import PanTiltReference
 from gyrorig_solver.reference.unit.poll_likelihood import POLLS_PER_PIECE, grouped_median
-from gyrorig_solver.reference.unit.unit_moves import AXES, MotionReader, UnitExchange, UnitMotion
+from gyrorig_solver.reference.unit.recorded_orders import read_orders
+from gyrorig_solver.reference.unit.unit_moves import AXES, MotionReader, UnitMotion
 
 UNUSABLE_STATUS = (
     PtuStatus.SYNCHRONY_LOST | PtuStatus.HOMING
@@ -28,7 +29,6 @@ UNUSABLE_STATUS = (
 FACTORY_BAUD = 9600.0
 BITS_PER_BYTE = 10  # 8N1
 QUERY_BYTES = 3  # `BT ` or `PP `
-OK_CODE = 0
 MAX_UNEXPLAINED_SHARE = 0.5  # of the counts in motion; above it the counts alone are used
 MAX_COUNT_ERROR_STEPS = 4.0  # the quantum of the count, its lag, and some start error
 MAX_START_ERROR_S = 0.005  # of a start that was not polled
@@ -56,17 +56,8 @@ def read_pan_tilt_reference(
         _rad_per_step(recording, metadata, "pan"),
         _rad_per_step(recording, metadata, "tilt"),
     )
-    exchanges = [
-        UnitExchange(
-            # The unit cannot act before the last byte, the delimiter, has arrived.
-            (c.request_time_ns - origin_ns) * 1e-9 + (len(c.command.strip()) + 1) * byte_s,
-            (c.reply_time_ns - origin_ns) * 1e-9,
-            c.code == OK_CODE,
-            c.command,
-        )
-        for c in recording.ptu_commands()
-    ]
-    motion = MotionReader(_settings(metadata), steps, polls.count_at_rest).read(exchanges)
+    orders = read_orders(recording, byte_s, origin_ns)
+    motion = MotionReader(_settings(metadata), steps, polls.count_at_rest).read(orders)
     return choose_reference(_mark_contradictions(motion, polls), polls, rad_per_step)
 
 

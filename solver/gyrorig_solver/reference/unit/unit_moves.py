@@ -1,4 +1,4 @@
-"""The moves of a pan-tilt unit, reconstructed from its commands and settings.
+"""The moves of a pan-tilt unit, reconstructed from its orders and settings.
 
 Targets, speeds, acceleration and base speed of a move are known from commands and settings. The
 times at which the commands act are not known; `move_fit` estimates them. A move goes from rest to
@@ -6,12 +6,12 @@ rest; targets, speeds and halts commanded in motion belong to it. The position a
 taken from the polled counts.
 """
 
-import re
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from gyrorig_protocol.motion_orders import AxisOrder, OrderAxis, OrderKind
 from gyrorig_solver.data import FloatArray
 from gyrorig_solver.reference.unit.motion_law import MotionLaw
 from gyrorig_solver.reference.unit.motion_profile import (
@@ -23,14 +23,6 @@ from gyrorig_solver.reference.unit.motion_profile import (
 )
 
 AXES = ("pan", "tilt")
-_SETTING = re.compile(r"([PT])([SABPOD])([-+]?\d+)\s*")
-_BOTH = re.compile(r"B([-+]?\d+),([-+]?\d+),(\d+),(\d+)\s*")
-_START = re.compile(r"[AI]\s*")
-_SLAVED = re.compile(r"S\s*")
-_HALT = re.compile(r"H[PT]?\s*")
-_CONTROL = re.compile(r"C[IV]\s*")
-_HOME = re.compile(r"R[PT]?\s*")
-_STEP_MODE = re.compile(r"W([PT])[FHQEA]\s*")
 # A command within this time after the predicted rest can find the axis still moving.
 _REST_MARGIN_S = 0.02
 _MAX_REPLY_WAIT_S = 0.2  # of the margin for slow controllers; an awaited move replies at its end
@@ -42,13 +34,13 @@ RestCountLookup = Callable[
 
 
 @dataclass(frozen=True, slots=True)
-class UnitExchange:
-    """One command and its reply, times in s on the capture clock."""
+class UnitOrder:
+    """One order and its reply, times in s on the capture clock."""
 
     request_s: float  # transmission of its last byte
     reply_s: float
-    ok: bool
-    command: str
+    accepted: bool
+    order: AxisOrder
 
 
 @dataclass(frozen=True, slots=True)
@@ -155,10 +147,10 @@ def with_start_times(moves: Iterable[Move], start_times_s: FloatArray) -> tuple[
 class _AxisState:
     """Settings and current move of one axis."""
 
-    def __init__(self, letter: str, settings: Mapping[str, float], steps: int) -> None:
-        name = AXES["PT".index(letter)]
-        self.index = "PT".index(letter)
-        self.letter = letter
+    def __init__(self, index: int, settings: Mapping[str, float], steps: int) -> None:
+        name = AXES[index]
+        self.index = index
+        self.name = name
         self.speed: float | None = settings.get(f"{name}_speed")
         self.base_speed = max(0.0, settings.get(f"{name}_base_speed", 0.0))
         self.acceleration: float | None = settings.get(f"{name}_acceleration")
@@ -167,7 +159,7 @@ class _AxisState:
             settings.get(f"{name}_max_steps", 1e6),
         )
         self.steps = steps  # the last rest position
-        self.pending: tuple[CommandKind, int] | None = None
+        self.pending: tuple[CommandKind, float] | None = None
         self.commands: list[MotionCommand] = []  # of the current move
         self.end_s = -np.inf
         self._planned_move: tuple[Move, float] | None = None  # what `move` found last, and its end
@@ -187,7 +179,7 @@ class _AxisState:
 
 
 class MotionReader:
-    """Converts exchanges to moves, in the order of time."""
+    """Converts orders to moves, in the order of time."""
 
     def __init__(
         self,
@@ -197,21 +189,19 @@ class MotionReader:
     ) -> None:
         """Start with the settings in the recording's metadata and the counts at rest."""
         self._initial_steps, self._rest_count = initial_steps, rest_count
-        self._axes = {
-            p: _AxisState(p, settings, s) for p, s in zip("PT", initial_steps, strict=True)
-        }
-        self._is_slaved = self._is_velocity_mode = False
+        self._axes = [_AxisState(k, settings, steps) for k, steps in enumerate(initial_steps)]
+        self._is_collecting = False
         self._moves: list[Move] = []
         self._unknown_spans: list[tuple[float, float, str]] = []
         self._count_resets: list[tuple[float, int, int]] = []
-        self._speed_classes: dict[tuple[str, float], int] = {}
+        self._speed_classes: dict[tuple[int, float], int] = {}
 
-    def read(self, exchanges: Iterable[UnitExchange]) -> UnitMotion:
-        """Return the motion that the exchanges command."""
-        for exchange in exchanges:
-            if exchange.ok:
-                self._apply(exchange)
-        for axis in self._axes.values():
+    def read(self, orders: Iterable[UnitOrder]) -> UnitMotion:
+        """Return the motion that the orders command."""
+        for order in orders:
+            if order.accepted:
+                self._apply(order)
+        for axis in self._axes:
             self._finish_move(axis, np.inf)
         return UnitMotion(
             tuple(sorted(self._moves, key=lambda move: move.command_time_s)),
@@ -221,111 +211,103 @@ class MotionReader:
             tuple(self._count_resets),
         )
 
-    def _apply(self, exchange: UnitExchange) -> None:
-        text = exchange.command.strip().upper()
-        if match := _SETTING.fullmatch(text):
-            self._apply_setting(exchange, self._axes[match[1]], match[2], int(match[3]))
-        elif match := _BOTH.fullmatch(text):
-            for k, axis in enumerate(self._axes.values()):
-                axis.speed = float(match[3 + k])
-                self._set_target(exchange, axis, "to", int(match[1 + k]))
-        elif _SLAVED.fullmatch(text):
-            self._is_slaved = True
-        elif _START.fullmatch(text):
-            self._is_slaved = self._is_slaved and text[0] == "A"
-            for axis in self._axes.values():
+    def _apply(self, order: UnitOrder) -> None:
+        kind = order.order.kind
+        if kind is OrderKind.COLLECT:
+            self._is_collecting = True
+        elif kind in (OrderKind.START, OrderKind.IMMEDIATE):
+            self._is_collecting = self._is_collecting and kind is OrderKind.START
+            for axis in self._axes:
                 if axis.pending is not None:
-                    self._add_command(exchange, axis, *axis.pending)
+                    self._add_command(order, axis, *axis.pending)
                     axis.pending = None
+        elif kind is OrderKind.RESOLUTION:
+            self._mark_unknown(order.request_s, np.inf, "the step mode was changed")
         else:
-            self._apply_rare(exchange, text)
+            for axis in self._axes:
+                if order.order.axis in (OrderAxis.BOTH, axis.index):
+                    self._apply_to_axis(order, axis)
 
-    def _apply_rare(self, exchange: UnitExchange, text: str) -> None:
-        if _HALT.fullmatch(text):
-            for axis in self._axes_named(text[1:2]):
-                self._halt_axis(exchange, axis)
-        elif _CONTROL.fullmatch(text):
-            if self._is_velocity_mode != (text[1] == "V"):
-                for axis in self._axes.values():
-                    self._halt_axis(exchange, axis)
-            self._is_velocity_mode = text[1] == "V"
-        elif _HOME.fullmatch(text):
-            for axis in self._axes_named(text[1:2]):
-                self._home_axis(exchange, axis)
-        elif _STEP_MODE.fullmatch(text):
-            self._mark_unknown(exchange.request_s, np.inf, "the step mode was changed")
+    def _apply_to_axis(self, order: UnitOrder, axis: _AxisState) -> None:
+        kind, value = order.order.kind, order.order.value
+        if kind in (OrderKind.TARGET, OrderKind.OFFSET):
+            if not np.isnan(order.order.speed_steps_s):
+                axis.speed = order.order.speed_steps_s
+            self._set_target(order, axis, "by" if kind is OrderKind.OFFSET else "to", value)
+        elif kind is OrderKind.SPEED:
+            self._set_speed(order, axis, value)
+        elif kind is OrderKind.RATE:
+            self._set_rate(order, axis, value)
+        elif kind in (OrderKind.SPEED_CHANGE, OrderKind.RATE_CHANGE):
+            self._change_speed(order, axis, value, kind is OrderKind.RATE_CHANGE)
+        elif kind in (OrderKind.ACCELERATION, OrderKind.BASE_SPEED):
+            self._may_be_moving(order, axis)  # a finished move used the old setting
+            if kind is OrderKind.ACCELERATION:
+                axis.acceleration = value
+            else:
+                axis.base_speed = max(0.0, value)
+        elif kind is OrderKind.HALT:
+            self._halt_axis(order, axis)
+        elif kind is OrderKind.HOME:
+            self._home_axis(order, axis)
 
-    def _axes_named(self, letter: str) -> list[_AxisState]:
-        return [axis for axis in self._axes.values() if letter in ("", axis.letter)]
+    def _set_speed(self, order: UnitOrder, axis: _AxisState, value: float) -> None:
+        previous, axis.speed = axis.speed, abs(value)
+        is_moving = self._may_be_moving(order, axis)
+        if is_moving and not self._is_collecting and axis.speed != previous:
+            self._add_command(order, axis, "keep", 0)
 
-    def _apply_setting(
-        self, exchange: UnitExchange, axis: _AxisState, kind: str, number: int
+    def _set_rate(self, order: UnitOrder, axis: _AxisState, value: float) -> None:
+        """Turn until the end of travel; a rate of 0 stops and leaves the speed of moves."""
+        if value == 0:
+            self._halt_axis(order, axis)
+        else:
+            axis.speed = abs(value)
+            self._add_command(order, axis, "to", axis.range_steps[value > 0])
+
+    def _change_speed(
+        self, order: UnitOrder, axis: _AxisState, value: float, is_rate: bool
     ) -> None:
-        if kind == "S":
-            self._set_speed(exchange, axis, number)
-        elif kind == "D":
-            self._change_speed(exchange, axis, number)
-        elif kind in "AB":
-            self._may_be_moving(exchange, axis)  # a finished move used the old setting
-            if kind == "A":
-                axis.acceleration = float(number)
-            else:
-                axis.base_speed = max(0.0, float(number))
-        else:
-            self._set_target(exchange, axis, "by" if kind == "O" else "to", number)
-
-    def _set_speed(self, exchange: UnitExchange, axis: _AxisState, number: int) -> None:
-        previous, axis.speed = axis.speed, float(abs(number))
-        if self._is_velocity_mode:
-            if number == 0:
-                axis.speed = previous
-                self._halt_axis(exchange, axis)
-            else:
-                self._add_command(exchange, axis, "to", axis.range_steps[number > 0])
-        elif self._may_be_moving(exchange, axis) and not self._is_slaved and axis.speed != previous:
-            self._add_command(exchange, axis, "keep", 0)
-
-    def _change_speed(self, exchange: UnitExchange, axis: _AxisState, number: int) -> None:
         """Set a speed by an offset, which is valid at rest only; in motion it is unknown."""
-        if not self._may_be_moving(exchange, axis):
-            self._set_speed(exchange, axis, number)
+        if not self._may_be_moving(order, axis):
+            (self._set_rate if is_rate else self._set_speed)(order, axis, value)
             return
         axis.speed = None
-        self._mark_unknown(exchange.request_s, np.inf, "an offset command changed a speed")
+        self._mark_unknown(order.request_s, np.inf, "an offset command changed a speed")
 
     def _set_target(
-        self, exchange: UnitExchange, axis: _AxisState, kind: CommandKind, number: int
+        self, order: UnitOrder, axis: _AxisState, kind: CommandKind, value: float
     ) -> None:
-        if self._is_slaved:
-            axis.pending = (kind, number)
+        if self._is_collecting:
+            axis.pending = (kind, value)
         else:
-            self._add_command(exchange, axis, kind, number)
+            self._add_command(order, axis, kind, value)
 
-    def _halt_axis(self, exchange: UnitExchange, axis: _AxisState) -> None:
+    def _halt_axis(self, order: UnitOrder, axis: _AxisState) -> None:
         axis.pending = None
-        if self._may_be_moving(exchange, axis):
-            self._add_command(exchange, axis, "stop", 0)
+        if self._may_be_moving(order, axis):
+            self._add_command(order, axis, "stop", 0)
 
-    def _home_axis(self, exchange: UnitExchange, axis: _AxisState) -> None:
-        self._finish_move(axis, exchange.request_s)
+    def _home_axis(self, order: UnitOrder, axis: _AxisState) -> None:
+        self._finish_move(axis, order.request_s)
         self._mark_unknown(
-            exchange.request_s - _REST_MARGIN_S, exchange.reply_s + 0.1, "the unit was homed"
+            order.request_s - _REST_MARGIN_S, order.reply_s + 0.1, "the unit was homed"
         )
-        self._count_resets.append((exchange.reply_s, axis.index, 0))
+        self._count_resets.append((order.reply_s, axis.index, 0))
         axis.steps, axis.pending = 0, None
 
-    def _may_be_moving(self, exchange: UnitExchange, axis: _AxisState) -> bool:
+    def _may_be_moving(self, order: UnitOrder, axis: _AxisState) -> bool:
         """Return whether the axis can still move; finish a move that is over."""
-        if axis.commands and exchange.request_s > axis.end_s:
-            self._finish_move(axis, exchange.request_s)
+        if axis.commands and order.request_s > axis.end_s:
+            self._finish_move(axis, order.request_s)
         return bool(axis.commands)
 
     def _add_command(
-        self, exchange: UnitExchange, axis: _AxisState, kind: CommandKind, steps: float
+        self, order: UnitOrder, axis: _AxisState, kind: CommandKind, steps: float
     ) -> None:
-        is_moving = self._may_be_moving(exchange, axis)
+        is_moving = self._may_be_moving(order, axis)
         if not is_moving:
-            self._adopt_polled_rest(exchange, axis)
+            self._adopt_polled_rest(order, axis)
             target = steps + (axis.steps if kind == "by" else 0)
             if target == axis.steps:
                 return
@@ -333,15 +315,15 @@ class MotionReader:
         for name, value in (("speed", axis.speed), ("acceleration", axis.acceleration)):
             if value is None or not value > 0.0:
                 self._mark_unknown(
-                    exchange.request_s, np.inf, f"the {name} of axis {axis.letter} was never set"
+                    order.request_s, np.inf, f"the {name} of the {axis.name} axis was never set"
                 )
                 return
-        key = (axis.letter, axis.speed or 0.0)
+        key = (axis.index, axis.speed or 0.0)
         speed_class = self._speed_classes.setdefault(key, len(self._speed_classes))
         axis.commands.append(
             MotionCommand(
-                exchange.request_s,
-                exchange.request_s,
+                order.request_s,
+                order.request_s,
                 kind,
                 float(steps),
                 axis.speed or 0.0,
@@ -349,13 +331,13 @@ class MotionReader:
             )
         )
         axis.move()
-        wait_s = min(max(exchange.reply_s - exchange.request_s, 0.0), _MAX_REPLY_WAIT_S)
+        wait_s = min(max(order.reply_s - order.request_s, 0.0), _MAX_REPLY_WAIT_S)
         axis.end_s += _REST_MARGIN_S + wait_s
 
-    def _adopt_polled_rest(self, exchange: UnitExchange, axis: _AxisState) -> None:
+    def _adopt_polled_rest(self, order: UnitOrder, axis: _AxisState) -> None:
         """Use the counts polled at rest if no command explains the position."""
-        after_s = max(axis.end_s, exchange.request_s - _REST_LOOKBACK_S)
-        rest_count = self._rest_count(axis.index, after_s, exchange.request_s)
+        after_s = max(axis.end_s, order.request_s - _REST_LOOKBACK_S)
+        rest_count = self._rest_count(axis.index, after_s, order.request_s)
         if rest_count is not None and abs(rest_count - axis.steps) > 1:
             axis.steps = rest_count
 
