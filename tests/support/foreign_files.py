@@ -9,11 +9,15 @@ from heapq import merge
 from pathlib import Path
 from typing import Any
 
+import h5py  # type: ignore[import-untyped]
 import numpy as np
+import pyarrow  # type: ignore[import-untyped]
+import pyarrow.parquet  # type: ignore[import-untyped]
 from rosbags.rosbag1 import Writer as Ros1Writer
 from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as Ros2Writer
 from rosbags.typesys import Stores, get_typestore
+from scipy.io import savemat
 from scipy.spatial.transform import Rotation
 from tests.support.simulated_attitudes import SimulatedAttitudes
 
@@ -227,4 +231,48 @@ def write_gyro_table(path: Path, session: SimulatedAttitudes) -> Path:
     ):
         lines.append(f"{at_s:.6f},{rate[0]:.7f},{rate[1]:.7f},{rate[2]:.7f}")
     path.write_text("\n".join(lines) + "\n")
+    return path
+
+
+def session_arrays(session: SimulatedAttitudes) -> dict[str, np.ndarray]:
+    """Return the session as somebody would name its arrays."""
+    return {
+        "t_imu": session.gyro_time_s,
+        "gyr": np.degrees(session.gyro_rad_s),
+        "t_cam": session.stamp_s,
+        "quat": session.orientation_xyzw[:, [3, 0, 1, 2]],
+    }
+
+
+def write_matlab5(path: Path, session: SimulatedAttitudes, *, as_struct: bool = False) -> Path:
+    arrays: dict[str, Any] = session_arrays(session)
+    savemat(path, {"log": arrays} if as_struct else arrays, do_compression=True)
+    return path
+
+
+def write_matlab73(path: Path, session: SimulatedAttitudes) -> Path:
+    """Write a file of version 7.3: a user block of 512 bytes, and arrays stored columns first."""
+    with h5py.File(path, "w", userblock_size=512) as file:
+        group = file.create_group("log")
+        for name, values in session_arrays(session).items():
+            rows = values[:, None] if values.ndim == 1 else values
+            dataset = group.create_dataset(name, data=rows.T, compression="gzip")
+            dataset.attrs["MATLAB_class"] = np.bytes_(b"double")
+    text = b"MATLAB 7.3 MAT-file, Platform: GLNXA64, Created on: Mon Nov 23 2026 HDF5 schema 1.00 ."
+    with path.open("r+b") as file:
+        file.write(text.ljust(116) + bytes(8) + b"\x00\x02IM")
+    return path
+
+
+def write_parquet(path: Path, session: SimulatedAttitudes) -> Path:
+    """Write the gyro, a column per axis, and the quaternions at the samples nearest in time."""
+    nearest = np.clip(
+        np.searchsorted(session.stamp_s, session.gyro_time_s), 0, session.stamp_s.size - 1
+    )
+    is_equal = np.abs(session.stamp_s[nearest] - session.gyro_time_s) < 1e-6
+    orientation = np.where(is_equal[:, None], session.orientation_xyzw[nearest], np.nan)
+    columns: dict[str, Any] = {"time_us": np.rint(session.gyro_time_s * 1e6).astype(np.int64)}
+    columns |= {f"gyro_{axis}": session.gyro_rad_s[:, k] for k, axis in enumerate("xyz")}
+    columns |= {f"q{axis}": orientation[:, k] for k, axis in enumerate("xyzw")}
+    pyarrow.parquet.write_table(pyarrow.table(columns), path)
     return path

@@ -12,6 +12,7 @@ from gyrorig_solver.commands.terminal import Terminal, json_option, output_optio
 from gyrorig_solver.importers import (
     ImportMap,
     ImportOptions,
+    MissingMapError,
     formats,
     import_files,
     load_import_map,
@@ -87,13 +88,17 @@ def import_command(
     out = out or _default_output(sources[0])
     for source in sources:
         terminal.print_progress(f"importing {source.name}")
-    result = import_files(
-        sources,
-        out,
-        ImportOptions(mapping, board, sensor, topics, stamp),
-        format_name=format_name,
-        unit_recording=unit_recording,
-    )
+    try:
+        result = import_files(
+            sources,
+            out,
+            ImportOptions(mapping, board, sensor, topics, stamp),
+            format_name=format_name,
+            unit_recording=unit_recording,
+        )
+    except MissingMapError as error:
+        terminal.print_result(error.sketch.rstrip())
+        raise
     plain = {name: str(v) if isinstance(v, Path) else v for name, v in asdict(result).items()}
     terminal.print_result(f"{sources[0].name}: {result.samples} samples of {result.board}")
     terminal.print_result(f"  {result.source}")

@@ -9,6 +9,7 @@ reads `MeasuredStreams`, which are neutral; `imported_recording` writes them. An
 from gyrorig_solver.importers.import_map import check_import_map, load_import_map
 from gyrorig_solver.importers.imported_recording import ImportSummary
 from gyrorig_solver.importers.map_keys import ImportMap
+from gyrorig_solver.importers.mapped_format import MissingMapError
 from gyrorig_solver.importers.measurement_format import ImportOptions, find_format, formats
 from gyrorig_solver.importers.measurement_import import import_files, import_measurements
 
@@ -16,6 +17,7 @@ __all__ = [
     "ImportMap",
     "ImportOptions",
     "ImportSummary",
+    "MissingMapError",
     "check_import_map",
     "find_format",
     "formats",

@@ -20,10 +20,15 @@ from gyrorig_protocol.errors import InputError
 from gyrorig_protocol.suggestions import did_you_mean
 from gyrorig_solver.data import FloatArray
 from gyrorig_solver.data.text_table import check_text_table
+from gyrorig_solver.importers.array_files import (
+    MAX_ARRAY_BYTES,
+    ArrayReader,
+    find_array_reader,
+    too_large,
+)
 from gyrorig_solver.importers.map_keys import Column, TableLayout
 from gyrorig_solver.importers.text_columns import TextColumns, check_matrix, list_names
 
-MAX_ARCHIVE_BYTES = 4_000_000_000
 _ARRAY_REMEDY = "save the array with numpy.savez as floats or integers"
 # RuntimeError: the archive has a password, or (NotImplementedError) an unknown compression
 _ARCHIVE_ERRORS = (
@@ -63,10 +68,13 @@ def open_columns(
     if path.stat().st_size == 0:
         raise InputError(f"the file {path.name} is empty", "give a file with measurements")
     try:
+        reader = find_array_reader(path)
+        if reader is not None:
+            return ArrayColumns(path.name, wanted, reader)
         with path.open("rb") as file:
             is_archive = file.read(2) == b"PK"
         if is_archive or path.suffix == ".npz":
-            return _ArchiveColumns(path, wanted)
+            return ArrayColumns(path.name, wanted, _NumpyArrays(path))
         check_text_table(path)
         return TextColumns(path, wanted, layout or TableLayout())
     except _ARCHIVE_ERRORS as error:
@@ -76,31 +84,41 @@ def open_columns(
         ) from error
 
 
-class _ArchiveColumns:
-    """A NumPy archive; only the requested arrays are loaded."""
+class _NumpyArrays:
+    """The arrays of a NumPy archive."""
 
-    def __init__(self, path: Path, wanted: Sequence[Column]) -> None:
-        self._name = path.name
-        self._arrays: dict[str, FloatArray] = {}
-        self._element: dict[Column, tuple[str, int | None]] = {}
+    def __init__(self, path: Path) -> None:
+        self._path = path
         with zipfile.ZipFile(path) as archive:
-            members = archive.infolist()
-            names = [member.filename.removesuffix(".npy") for member in members]
-            for key in dict.fromkeys(wanted):
-                self._element[key] = self._find_array(key, names)
-            arrays = {array for array, _ in self._element.values()}
-            size = dict(zip(names, (member.file_size for member in members), strict=True))
-            if sum(size[array] for array in arrays) > MAX_ARCHIVE_BYTES:
-                raise InputError(
-                    f"the arrays in the file {path.name} need more than 4 GB of memory",
-                    "split the file, and import each part",
-                )
-            for array in arrays:
-                member = members[names.index(array)]
-                with archive.open(member) as content:
-                    self._arrays[array] = _read_array(
-                        content, member.file_size, f"in the file {path.name}, the array {array}"
-                    )
+            self._members = archive.infolist()
+
+    def names(self) -> list[str]:
+        """Return the names of all arrays."""
+        return [member.filename.removesuffix(".npy") for member in self._members]
+
+    def load(self, wanted: Sequence[str]) -> dict[str, FloatArray]:
+        """Return some arrays."""
+        names = self.names()
+        sizes = [self._members[names.index(array)].file_size for array in wanted]
+        if sum(sizes) > MAX_ARRAY_BYTES:
+            raise too_large(self._path)
+        arrays = {}
+        with zipfile.ZipFile(self._path) as archive:
+            for array, size in zip(wanted, sizes, strict=True):
+                what = f"in the file {self._path.name}, the array {array}"
+                with archive.open(self._members[names.index(array)]) as content:
+                    arrays[array] = _read_array(content, size, what)
+        return arrays
+
+
+class ArrayColumns:
+    """Named arrays of a file; only the requested arrays are loaded."""
+
+    def __init__(self, name: str, wanted: Sequence[Column], reader: ArrayReader) -> None:
+        self._name = name
+        names = reader.names()
+        self._element = {key: self._find_array(key, names) for key in dict.fromkeys(wanted)}
+        self._arrays = reader.load(sorted({array for array, _ in self._element.values()}))
 
     def _find_array(self, key: Column, names: Sequence[str]) -> tuple[str, int | None]:
         """Return the array of a key, and the number of its column if the key has one."""
@@ -121,6 +139,7 @@ class _ArchiveColumns:
         return array, int(element[2]) if element is not None else None
 
     def matrix(self, keys: Sequence[Column], width: int) -> FloatArray:
+        """Return one array of `width` columns, or `width` single columns joined."""
         columns = [self._column(key, width) for key in keys]
         if len({part.shape[0] for part in columns}) != 1 or any(p.ndim != 2 for p in columns):
             sizes = " and ".join(str(part.shape[0]) for part in columns)

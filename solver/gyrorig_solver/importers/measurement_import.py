@@ -52,6 +52,11 @@ def import_files(
         MachineError: the disk cannot be written; no file remains.
     """
     options = options or ImportOptions()
+    for source in sources:
+        if not source.exists():
+            raise InputError(
+                f"the file {source} does not exist", "give the path of a file or folder to import"
+            )
     has_map = options.mapping is not None
     chosen = [
         formats()[format_name] if format_name else find_format(source, has_map=has_map)[0]

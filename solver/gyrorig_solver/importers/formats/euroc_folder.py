@@ -188,8 +188,8 @@ def _choose_reference(
     ]
     if without:
         notes.append(
-            f"{', '.join(without)} contains positions without orientations, which are no reference "
-            "for a gyro"
+            f"{', '.join(without)} contains positions without orientations, which cannot be a "
+            "reference for a gyro"
         )
     if not chosen:
         return None
