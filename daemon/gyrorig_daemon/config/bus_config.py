@@ -24,7 +24,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import msgspec
 
-from gyrorig_protocol.can import MAX_NODE, resolve_signals
+from gyrorig_daemon.config.board_settings import validate_protocol
+from gyrorig_protocol.can import MAX_NODE
 from gyrorig_protocol.errors import InputError, UsageError
 from gyrorig_protocol.identity import BoardId
 
@@ -107,7 +108,7 @@ def validate_buses(rig: "RigConfig", name: str) -> None:
                 "define it",
                 "define the bus under `buses`",
             )
-        _validate_board(board, name)
+        _validate_board(board, rig, name)
         if board.node is not None:
             other = board_by_node.setdefault((board.bus, board.node), board.id)
             if other != board.id:
@@ -120,46 +121,14 @@ def validate_buses(rig: "RigConfig", name: str) -> None:
     _validate_emulated_buses(rig, name)
 
 
-def _validate_board(board: "BoardPort", name: str) -> None:
+def _validate_board(board: "BoardPort", rig: "RigConfig", name: str) -> None:
     if board.port:
         raise UsageError(
             f"{name}: board {board.id} has both the key `port` and the key `bus`",
             "remove one of the two keys",
         )
-    if board.format == "text":
-        raise UsageError(
-            f"{name}: board {board.id} has `format: text`, which a CAN bus does not support",
-            "use `format: signals` with the key `signals`, or `format: gcb1` with the key `node`",
-        )
-    if board.format == "gcb1":
-        if board.node is None:
-            raise UsageError(
-                f"{name}: board {board.id} on a CAN bus has no node number",
-                f"add the key `node` with a number from 1 to {MAX_NODE}",
-            )
-        if board.signals is not None:
-            raise UsageError(
-                f"{name}: board {board.id} has the key `signals`, which `format: gcb1` does "
-                "not use",
-                "set `format: signals`, or remove the key `signals`",
-            )
-        return
-    if board.signals is None:
-        raise UsageError(
-            f"{name}: board {board.id} has `format: signals`, but not the key `signals`",
-            "add the key `signals` with `preset`, or with `dbc` and `gyro`",
-        )
-    if not board.facts.uid or not (board.facts.sensor or board.signals.preset):
-        missing = "sensor" if board.facts.uid else "uid"
-        raise UsageError(
-            f"{name}: a board with `format: signals` does not identify itself, but board "
-            f"{board.id} has no `{missing}` under `facts`",
-            "add the type of the sensor as `sensor` under `facts`"
-            if board.facts.uid
-            else "choose a name that no other board has, and add it as `uid` under `facts`",
-        )
-    if board.signals.dbc_file is None:
-        resolve_signals(board.signals, board.id)
+    bus = next(bus for bus in rig.buses if bus.id == board.bus)
+    validate_protocol(board, bus.port == EMULATED, name)
 
 
 def _validate_emulated_buses(rig: "RigConfig", name: str) -> None:
@@ -168,13 +137,6 @@ def _validate_emulated_buses(rig: "RigConfig", name: str) -> None:
         if bus.port != EMULATED:
             continue
         boards = [board for board in rig.boards if board.bus == bus.id]
-        for board in boards:
-            if board.format != "gcb1":
-                raise UsageError(
-                    f"{name}: board {board.id} is emulated, but an emulated board supports "
-                    "only the format gcb1",
-                    "remove the line `format: signals` of this board",
-                )
         load = len(boards) * 2 * rig.emulator.odr_hz * _FRAME_BITS / bus.bitrate
         if load > _MAX_BUS_LOAD:
             raise UsageError(

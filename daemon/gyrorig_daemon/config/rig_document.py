@@ -11,6 +11,7 @@ from typing import Annotated, Literal, get_args
 
 import msgspec
 
+from gyrorig_daemon.config.board_settings import validate_protocol
 from gyrorig_daemon.config.bus_config import (
     BusPort,
     Node,
@@ -19,7 +20,8 @@ from gyrorig_daemon.config.bus_config import (
     validate_buses,
 )
 from gyrorig_daemon.config.service_settings import ScheduleEntry, ServiceSettings, validate_schedule
-from gyrorig_protocol.board import ColumnMap, Sample
+from gyrorig_protocol.board import ColumnMap
+from gyrorig_protocol.board_protocols import SerialProtocol
 from gyrorig_protocol.can import SignalMap
 from gyrorig_protocol.documents import convert_document, parse_yaml
 from gyrorig_protocol.errors import InputError, UsageError
@@ -115,9 +117,12 @@ class BoardPort(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         ""  # an id of `buses`; then there is no `port`
     )
     node: Node | None = None  # on that bus
-    format: Literal["gcb1", "text", "signals"] = "gcb1"
+    format: Annotated[str, msgspec.Meta(max_length=32)] = "gcb1"  # see `board_protocols`
     columns: ColumnMap | None = None  # of the text lines
     signals: SignalMap | None = None  # of the bus's frames
+    options: Annotated[dict[str, str | int | float | bool], msgspec.Meta(max_length=32)] = (
+        msgspec.field(default_factory=dict)
+    )  # of other protocols
     facts: BoardFacts = BoardFacts()
 
     @property
@@ -215,9 +220,7 @@ def parse_rig(text: str | bytes, name: str, folder: Path | None = None) -> RigCo
         )
     validate_buses(rig, name)
     for board in rig.serial_boards:
-        _validate_board(board, name)
-        if board.port == EMULATED:
-            _validate_emulated_line(board, rig.emulator.odr_hz, name)
+        _validate_board(board, rig.emulator.odr_hz, name)
     _validate_limits(rig.ptu.limits, name)
     validate_schedule(rig.schedule, name)
     return rig
@@ -280,49 +283,20 @@ def _sibling_names(path: Path) -> list[str]:
     return []
 
 
-def _validate_board(board: BoardPort, name: str) -> None:
-    if board.port and board.format == "signals":
-        raise UsageError(
-            f"{name}: board {board.id} has `format: signals`, which needs a CAN bus",
-            "replace the key `port` by the key `bus`, or set `format: gcb1` or `format: text`",
-        )
+def _validate_board(board: BoardPort, odr_hz: int, name: str) -> None:
     if not board.port:
         raise UsageError(
             f"{name}: board {board.id} has neither a port nor a CAN bus",
             "add the key `port`, or the keys `bus` and `node`",
         )
-    if board.format == "gcb1":
-        if board.columns is not None:
-            raise UsageError(
-                f"{name}: board {board.id} has the key `columns`, which `format: gcb1` does "
-                "not use",
-                "set `format: text`, or remove the key `columns`",
-            )
-        return
-    if board.port == EMULATED:
-        raise UsageError(
-            f"{name}: board {board.id} is emulated, but an emulated board supports only the "
-            "format gcb1",
-            "remove the line `format: text` of this board",
-        )
-    if board.columns is None:
-        raise UsageError(
-            f"{name}: board {board.id} has `format: text`, but not the key `columns`",
-            "add the key `columns`, as in config/rig-raspberrypi.yaml",
-        )
-    scale = board.facts.gyro_scale_rad_s or board.columns.gyro_scale_rad_s
-    if not (board.facts.uid and board.facts.sensor and scale):
-        raise UsageError(
-            f"{name}: the `facts` of board {board.id} are incomplete, and a board with "
-            "`format: text` does not identify itself",
-            "add `uid`, `sensor` and, if the board sends counts, `gyro_scale_rad_s` under `facts`",
-        )
+    protocol = validate_protocol(board, board.port == EMULATED, name)
+    if board.port == EMULATED and isinstance(protocol, SerialProtocol):
+        _validate_emulated_line(board, protocol.sample_bytes, odr_hz, name)
 
 
-def _validate_emulated_line(board: BoardPort, odr_hz: int, name: str) -> None:
+def _validate_emulated_line(board: BoardPort, sample_bytes: int, odr_hz: int, name: str) -> None:
     """Reject a line without enough capacity, because samples would be later and later."""
-    frame = Sample(0, 0, 0, (0, 0, 0), (0, 0, 0), 0).encode()
-    needed_baud = len(frame) * BITS_PER_BYTE * odr_hz * LINE_MARGIN
+    needed_baud = sample_bytes * BITS_PER_BYTE * odr_hz * LINE_MARGIN
     if board.baud < needed_baud:
         sufficient_baud = min(baud for baud in get_args(Baud) if baud >= needed_baud)
         raise UsageError(

@@ -12,21 +12,17 @@ from gyrorig_daemon.config import BoardPort
 from gyrorig_daemon.config.rig_document import BITS_PER_BYTE
 from gyrorig_daemon.doctor.finding import Finding, fault, ok, warning
 from gyrorig_daemon.doctor.port_session import open_for_check, receive, send
-from gyrorig_daemon.links.boards.board_metadata import make_parser
 from gyrorig_daemon.links.ports.serial_port import PortRefusedError, configure_raw
 from gyrorig_protocol.board import (
     Batch,
     FrameEvent,
-    FrameParser,
     Hello,
-    HelloRequest,
     Sample,
     Slow,
-    TextLineParser,
     TimeReply,
-    TimeRequest,
 )
 from gyrorig_protocol.board.json_frames import PROTOCOL_VERSION
+from gyrorig_protocol.board_protocols import SerialParser, SerialProtocol, find_serial_protocol
 
 FIRST_BYTE_TIMEOUT_S = 5.0  # an Arduino that was reset by opening the port starts after 1 to 2 s
 REQUEST_PERIOD_S = 0.5
@@ -91,16 +87,16 @@ def check_board(config: BoardPort) -> tuple[list[Finding], float]:
 
 def _listen(fd: int, config: BoardPort) -> BoardTraffic:
     """Ask and listen until the board is known and was heard for `MEASURE_S`, or patience ends."""
-    traffic, parser = BoardTraffic(), make_parser(config)
-    has_protocol = config.format == "gcb1"
+    protocol = find_serial_protocol(config.format)
+    traffic, parser = BoardTraffic(), protocol.make_parser(config)
     start_s = time.monotonic()
     end_s, next_request_s = start_s + FIRST_BYTE_TIMEOUT_S + MEASURE_S, start_s
     while (now_s := time.monotonic()) < end_s and not traffic.has_hung_up:
-        if has_protocol and now_s >= next_request_s:
+        if protocol.identifies_itself and now_s >= next_request_s:
             next_request_s = now_s + REQUEST_PERIOD_S
-            send(fd, _next_request(traffic))
+            send(fd, _next_request(protocol, traffic))
         _parse_bytes(receive(fd, min(end_s, next_request_s)), parser, traffic)
-        is_identified = traffic.hello is not None or not has_protocol
+        is_identified = traffic.hello is not None or not protocol.identifies_itself
         if (
             is_identified
             and traffic.samples
@@ -113,16 +109,14 @@ def _listen(fd: int, config: BoardPort) -> BoardTraffic:
     return traffic
 
 
-def _next_request(traffic: BoardTraffic) -> bytes:
-    if traffic.hello is None:
-        return HelloRequest().encode()
+def _next_request(protocol: SerialProtocol, traffic: BoardTraffic) -> bytes:
+    if traffic.hello is None or not protocol.answers_time_requests:
+        return protocol.hello_request()
     traffic.time_requests += 1
-    return TimeRequest(random.getrandbits(32), time.monotonic_ns()).encode()
+    return protocol.time_request(random.getrandbits(32), time.monotonic_ns())
 
 
-def _parse_bytes(
-    data: bytes | None, parser: FrameParser | TextLineParser, traffic: BoardTraffic
-) -> None:
+def _parse_bytes(data: bytes | None, parser: SerialParser, traffic: BoardTraffic) -> None:
     if data is None:
         traffic.has_hung_up = True
         return
@@ -159,7 +153,8 @@ def _count_samples(frame: Sample | Batch, now_s: float, traffic: BoardTraffic) -
 
 def _find_other_baud(fd: int, config: BoardPort) -> int | None:
     """Return another baud rate at which frames arrive, None if there is none."""
-    if config.format != "gcb1":
+    protocol = find_serial_protocol(config.format)
+    if not protocol.identifies_itself:
         return None
     for baud in USUAL_BAUDS:
         if baud == config.baud:
@@ -168,7 +163,8 @@ def _find_other_baud(fd: int, config: BoardPort) -> int | None:
             configure_raw(fd, baud)
         except PortRefusedError:
             continue
-        traffic, parser, end_s = BoardTraffic(), FrameParser(), time.monotonic() + BAUD_TRIAL_S
+        traffic, parser = BoardTraffic(), protocol.make_parser(config)
+        end_s = time.monotonic() + BAUD_TRIAL_S
         while time.monotonic() < end_s and not traffic.has_hung_up:
             _parse_bytes(receive(fd, end_s), parser, traffic)
             if traffic.samples > 10:
@@ -208,8 +204,10 @@ def _check_format(
         ]
     if not traffic.samples:
         return [_unknown_data(subject, config, bytes(traffic.raw))]
-    if config.format == "text":
-        return [ok(subject, "identity", f"the board sends lines of numbers at {config.baud} baud")]
+    protocol = find_serial_protocol(config.format)
+    if not protocol.identifies_itself:
+        message = f"the board sends {protocol.description} at {config.baud} baud"
+        return [ok(subject, "identity", message)]
     return _check_identity(subject, config, traffic)
 
 
@@ -285,22 +283,21 @@ def _sensor_name(sensor_id: int | str) -> str:
 def _unknown_data(subject: str, config: BoardPort, raw: bytes) -> Finding:
     """Return the finding about data without samples."""
     printable = sum(32 <= byte < 127 or byte in b"\r\n\t" for byte in raw)
+    expected = find_serial_protocol(config.format).description
     if printable > 0.95 * len(raw):
-        if config.format == "gcb1":
+        if config.columns is not None:
             message = (
-                f"the board sends the text {raw[:40]!r}, but the rig file expects samples in the "
-                "binary format gcb1"
+                f"the board sends the text {raw[:40]!r}, in which the daemon finds no samples with "
+                "`columns` of the rig file"
             )
-            remedy = (
-                "if the text contains the samples, set `format: text` and `columns` of the board "
-                "in the rig file. Otherwise check the firmware of the board"
-            )
-            return fault(subject, "text", message, remedy)
-        message = (
-            f"the board sends the text {raw[:40]!r}, in which the daemon finds no samples with "
-            "`columns` of the rig file"
+            remedy = "correct `columns` of the board in the rig file"
+            return fault(subject, "columns", message, remedy)
+        message = f"the board sends the text {raw[:40]!r}, but the rig file expects {expected}"
+        remedy = (
+            "if the text contains the samples, set `format: text` and `columns` of the board "
+            "in the rig file. Otherwise check the firmware of the board"
         )
-        return fault(subject, "columns", message, "correct `columns` of the board in the rig file")
+        return fault(subject, "text", message, remedy)
     message = (
         f"the board sends {raw[:16]!r}, which contains no {config.format} frame at any usual "
         "baud rate"

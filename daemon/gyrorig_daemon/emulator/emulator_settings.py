@@ -4,8 +4,11 @@ Everything that a test can vary is a field here. The true parameters, which are 
 seed and hidden from clients, are in `rig_truth`.
 """
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import Literal
+
+from gyrorig_protocol.board import ColumnMap
 
 Dialect = Literal["d46", "e46"]
 
@@ -107,12 +110,14 @@ class BoardSettings:
     bandwidth_hz: float = 25.0
     full_scale_dps: float = 250.0
     baud: int = 460800
-    format: Literal["gcb1", "text"] = "gcb1"
+    format: str = "gcb1"  # a protocol of `emulator.board.protocols`
     batch: int = 1  # samples per frame
     accel: bool = True
     text_separator: str = ","
     text_time: bool = True  # a text line starts with the board's u32 microseconds
     text_temperature: bool = True
+    columns: ColumnMap | None = None  # of a text line, instead of these three
+    options: Mapping[str, str | int | float | bool] = field(default_factory=dict)  # as in a rig
     slow_hz: float = 5.0
     faults: BoardFaults = BoardFaults()
     bus: str = ""  # its CAN bus, instead of a serial port

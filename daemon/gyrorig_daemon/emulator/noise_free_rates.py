@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from gyrorig_daemon.emulator.board.emulated_protocol import find_emulated_protocol
 from gyrorig_daemon.emulator.emulated_rig import EmulatedRig
 from gyrorig_daemon.emulator.emulator_settings import BoardSettings, RigSettings
 from gyrorig_daemon.emulator.physics.imu import ImuModel
@@ -193,7 +194,8 @@ def _simulate_rates(
     """Return times and rates of a board from power-up on, with delayed motion."""
     imu = rig.board_truth(board.name).imu
     hooks = rig.fresh_hooks().board(board.name)
-    samples_per_frame = board.batch if board.format == "gcb1" else 1
+    has_batches = find_emulated_protocol(board.format).has_batches
+    samples_per_frame = board.batch if has_batches else 1
     model = ImuModel(
         replace(imu, tau_s=imu.tau_s + delay_s),
         rig.stage,

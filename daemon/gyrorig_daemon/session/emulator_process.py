@@ -67,6 +67,9 @@ def emulated_rig_settings(
             bandwidth_hz=emulator_config.bandwidth_hz or _BANDWIDTH_HZ[emulator_config.odr_hz],
             full_scale_dps=float(emulator_config.gyro_full_scale_dps),
             baud=board.baud,
+            format=board.format,
+            columns=board.columns,
+            options=board.options,
             bus=board.bus,
             node=board.node or 0,
         )

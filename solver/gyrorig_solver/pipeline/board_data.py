@@ -4,14 +4,13 @@ What to use when: `load_board` from recordings; `reference_kinds` for the kinds 
 which are the modules of `pipeline.references` that have a `KIND`.
 """
 
-import importlib
-import pkgutil
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property
 from typing import TYPE_CHECKING
 
 from gyrorig_protocol.errors import InputError, UsageError
+from gyrorig_protocol.module_registry import registered_modules
 from gyrorig_protocol.recording.recording import Recording, in_order_of_time
 from gyrorig_solver.data.samples import GyroSamples, load_samples
 from gyrorig_solver.data.stream.exact_repeats import without_repeats
@@ -170,10 +169,7 @@ def _check_same_settings(recordings: Sequence[Recording], samples: Sequence[Gyro
 @cache
 def reference_kinds() -> "tuple[ReferenceKind, ...]":
     """Return every kind of reference, the preferred one first."""
-    modules = [
-        importlib.import_module(f"{references.__name__}.{module.name}")
-        for module in pkgutil.iter_modules(references.__path__)
-    ]
+    modules = registered_modules(references, "references")
     kinds: list[ReferenceKind] = [module.KIND for module in modules]
     return tuple(sorted(kinds, key=lambda kind: kind.preference))
 

@@ -11,6 +11,7 @@ import msgspec
 import numpy as np
 
 from gyrorig_protocol.board import TimeReply, TimeRequest
+from gyrorig_protocol.board_protocols import find_protocol
 from gyrorig_protocol.documents import convert_document, parse_yaml
 from gyrorig_protocol.errors import UsageError
 from gyrorig_protocol.profile import SensorProfile
@@ -56,7 +57,7 @@ class _Board(msgspec.Struct, frozen=True):
     id: str
     port: str
     baud: Annotated[int, msgspec.Meta(ge=300)] = 115200
-    format: Literal["gcb1", "text"] = "gcb1"
+    format: str = "gcb1"
     facts: _Facts = _Facts()
 
 
@@ -132,6 +133,7 @@ def load_rig(path: Path) -> RigModel:
     )
     facts = board.facts
     simulated = board.port == EMULATED
+    protocol = find_protocol(board.format, owner=f"{path.name}: board {board.id}")
     return RigModel(
         name=document.rig,
         unit=_apply_limits(model, unit.limits, path.name),
@@ -139,7 +141,7 @@ def load_rig(path: Path) -> RigModel:
         odr_hz=emulator.odr_hz if simulated else facts.odr_hz,
         bandwidth_hz=emulator.bandwidth_hz if simulated else facts.bandwidth_hz,
         full_scale_dps=emulator.gyro_full_scale_dps if simulated else facts.gyro_full_scale_dps,
-        timestamp_std_s=_ping_latency_std_s(board.baud) if board.format == "gcb1" else 0.0,
+        timestamp_std_s=_ping_latency_std_s(board.baud) if protocol.answers_time_requests else 0.0,
         site=Site(
             document.site.latitude_deg,
             document.site.heading_deg,

@@ -52,7 +52,11 @@ def test_defaults() -> None:
         (("rig: desk", "rig: ../../etc"), "board name"),
         (("id: A-1", "id: ../x"), "board name"),
         (("rig: desk", "rig: desk\nschema: gyrorig/rig/2"), "schema"),
-        (("port: emulated}", "port: emulated, format: text}"), "gcb1"),
+        (("port: emulated}", "port: emulated, format: text}"), "columns"),
+        (("port: emulated}", "port: emulated, format: jsn}"), "Did you mean json?"),
+        (("port: emulated}", "port: emulated, format: signals}"), "needs a CAN bus"),
+        (("port: emulated}", "port: emulated, options: {a: 1}}"), "`options`"),
+        (("port: emulated}", "port: x, format: json, options: {a: 1}}"), "gyro_key"),
         (("port: emulated}", "port: /dev/x, format: text}"), "columns"),
         (
             (

@@ -1,6 +1,6 @@
 """The kinds of references: which one is used, and a new one that is a single file."""
 
-import textwrap
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -12,7 +12,6 @@ from gyrorig_protocol.errors import InputError, UsageError
 from gyrorig_protocol.recording.reader import read_recording
 from gyrorig_protocol.recording.recording import Recording
 from gyrorig_solver.importers import ImportMap, check_import_map, import_measurements
-from gyrorig_solver.pipeline import references
 from gyrorig_solver.pipeline.board_data import BoardData, load_board, reference_kinds
 from gyrorig_solver.pipeline.criticised_fit import fit_criticised
 from gyrorig_solver.pipeline.explain_board import explain_data
@@ -132,13 +131,15 @@ def test_requested_causes_are_refused_where_no_rate_is_known(tmp_path: Path, mor
 @pytest.fixture
 def new_kind(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """Add a kind: one file in a folder of the package."""
-    folder = tmp_path / "kinds"
-    folder.mkdir()
-    (folder / "rate_table.py").write_text(textwrap.dedent(NEW_KIND), encoding="utf-8")
-    monkeypatch.setattr(references, "__path__", [*references.__path__, str(folder)])
+    folder = tmp_path / "gyrorig_extensions" / "references"
+    folder.mkdir(parents=True)
+    (folder / "rate_table.py").write_text(NEW_KIND, encoding="utf-8")
+    monkeypatch.syspath_prepend(tmp_path)
     reference_kinds.cache_clear()
     yield
     reference_kinds.cache_clear()
+    for module in [name for name in sys.modules if name.startswith("gyrorig_extensions")]:
+        del sys.modules[module]
 
 
 @pytest.mark.usefixtures("new_kind")

@@ -19,6 +19,7 @@ from gyrorig_daemon.emulator.board.board_configuration import (
     hello_frame,
     reconfigure_imu,
 )
+from gyrorig_daemon.emulator.board.emulated_protocol import find_emulated_protocol
 from gyrorig_daemon.emulator.board.sample_encoder import (
     Frame,
     SampleEncoder,
@@ -33,7 +34,7 @@ from gyrorig_daemon.emulator.physics.effects.rig_hooks import BoardHooks
 from gyrorig_daemon.emulator.physics.imu import BiasPath, ImuModel, ImuTruth, SampleBlock
 from gyrorig_daemon.emulator.physics.stage_motion import Stage
 from gyrorig_daemon.emulator.rig_truth import BoardTruth
-from gyrorig_protocol.board import FrameEvent, FrameParser
+from gyrorig_protocol.board import BoardFrame, FrameEvent
 from gyrorig_protocol.board.board_frames import HelloRequest, Slow, TimeReply, TimeRequest
 from gyrorig_protocol.board.json_frames import Set
 
@@ -77,7 +78,8 @@ class EmulatedBoard:
         self._in = ReceiveLine(settings.baud)
         self._byte_ns = byte_ns(settings.baud)
         self._free_ns = origin_ns
-        self._parser = FrameParser()
+        self._protocol = find_emulated_protocol(settings.format)
+        self._parser = self._protocol.make_parser()
         self._frames: deque[Frame] = deque()
         self._other_frames: list[tuple[int, int, FrameBuilder]] = []
         self._order = 0
@@ -91,17 +93,16 @@ class EmulatedBoard:
         self._bias_path = BiasPath()
         self._configure(truth.imu, 0.0, imu_rng)
         self._next_block()
-        if settings.format == "gcb1":
-            self._announce()
+        self._announce()
 
     def receive(self, data: bytes, at_ns: int) -> None:
         """Accept bytes that arrive from `at_ns` on."""
         arrivals = self._in.arrivals(len(data), at_ns)
-        if self.settings.format != "gcb1" or self.settings.faults.silent:
+        if self._parser is None or self.settings.faults.silent:
             return
         for byte, arrived_ns in zip(data, arrivals, strict=True):
             if self._is_resetting(arrived_ns):
-                self._parser = FrameParser()
+                self._parser.reset()
                 continue
             for event in self._parser.feed(bytes([byte]), arrived_ns):
                 if isinstance(event, FrameEvent):
@@ -172,7 +173,7 @@ class EmulatedBoard:
                 imu = reconfigure_imu(self._imu.truth, self.settings, new_settings)
                 self.settings, self._configuration_changed = new_settings, True
                 self._configure(imu, float(block.time_s[-1]), self._spare_rng.spawn(1)[0])
-            ack = acknowledge(new_settings).encode()
+            ack = self._encode(acknowledge(new_settings))
             self._queue_frame(block_end_ns + _ANSWER_NS, _constant_frame(ack))
 
     def _next_block(self) -> None:
@@ -265,7 +266,7 @@ class EmulatedBoard:
         temperature = float(block.temperature_degc[0])
         elapsed_s = (start_ns - self._origin_ns) * 1e-9 - float(block.time_s[0])
         count = self._samples_before_model + block.first + int(elapsed_s * self._imu.truth.odr_hz)
-        return Slow(
+        slow = Slow(
             device_time=self.clock.ticks(start_ns),
             boot=self._boot(start_ns),
             sequence=max(count, 0),
@@ -276,7 +277,8 @@ class EmulatedBoard:
             temperature=out_temp_raw(temperature),
             air_temperature_decidegc=bmp085_raw(temperature),
             supply_mv=_SUPPLY_MV,
-        ).encode()
+        )
+        return self._encode(slow)
 
     def _is_resetting(self, at_ns: int) -> bool:
         """Return whether the board is restarting, when it neither receives nor sends."""
@@ -289,7 +291,10 @@ class EmulatedBoard:
         return _BOOT + sum(reset_ns <= at_ns for reset_ns in self._resets_ns)
 
     def _hello(self, start_ns: int) -> bytes:
-        return hello_frame(self.settings, self._boot(start_ns)).encode()
+        return self._encode(hello_frame(self.settings, self._boot(start_ns)))
+
+    def _encode(self, frame: BoardFrame) -> bytes:
+        return self._protocol.encode(frame, self.settings)
 
     def _answer(self, frame: object, arrived_ns: int) -> None:
         if isinstance(frame, TimeRequest):
@@ -297,7 +302,7 @@ class EmulatedBoard:
             received = self.clock.ticks(arrived_ns)
             self._queue_frame(
                 arrived_ns + _ANSWER_NS,
-                lambda ns: TimeReply(nonce, stamp, received, self.clock.ticks(ns)).encode(),
+                lambda ns: self._encode(TimeReply(nonce, stamp, received, self.clock.ticks(ns))),
             )
         elif isinstance(frame, HelloRequest):
             self._queue_frame(arrived_ns + _ANSWER_NS, self._hello)

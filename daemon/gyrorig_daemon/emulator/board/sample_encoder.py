@@ -1,4 +1,4 @@
-"""Encoder of the emulated firmware's samples: frames, batches, text lines; and line faults.
+"""Encoder of the emulated firmware's samples, alone or in batches; and faults of the line.
 
 Temperatures. A sample contains the BMP085's air temperature in 0.1 degC. SLOW also contains the
 gyro's OUT_TEMP, which decreases by one count per degree (L3G4200D) from an arbitrary zero.
@@ -6,6 +6,7 @@ gyro's OUT_TEMP, which decreases by one count per degree (L3G4200D) from an arbi
 
 import hashlib
 
+from gyrorig_daemon.emulator.board.emulated_protocol import find_emulated_protocol
 from gyrorig_daemon.emulator.emulator_settings import BoardFaults, BoardSettings
 from gyrorig_daemon.emulator.physics.imu import SampleBlock
 from gyrorig_protocol.board.board_frames import Batch, Sample, SampleFlag, Triple
@@ -34,7 +35,8 @@ class SampleEncoder:
         self._flags = int(SampleFlag.STAMPED_AT_DATA_READY)
         if changed:
             self._flags |= int(SampleFlag.CONFIGURATION_CHANGED)
-        self.samples_per_frame = settings.batch if settings.format == "gcb1" else 1
+        self._protocol = find_emulated_protocol(settings.format)
+        self.samples_per_frame = settings.batch if self._protocol.has_batches else 1
 
     def encode(
         self, block: SampleBlock, first: int, count: int, sequence: int, stamp: int
@@ -55,26 +57,17 @@ class SampleEncoder:
         if self._settings.accel:
             accel = [_triple(row) for row in block.accel[first : last + 1].tolist()]
         ticks = stamp & 0xFFFF_FFFF
-        if self._settings.format == "text":
-            return self._line(ticks, gyro[0], accel[0] if accel else None, temperature)
         flags = self._flags
         if block.saturated[first : last + 1].any():
             flags |= int(SampleFlag.SATURATED)
         number = sequence & 0xFFFF
-        if self._settings.batch > 1:
+        frame: Batch | Sample
+        if self.samples_per_frame > 1:
             rows = tuple(accel) if accel else None
-            return Batch(flags, number, ticks, tuple(gyro), rows, temperature).encode()
-        return Sample(
-            flags, number, ticks, gyro[0], accel[0] if accel else None, temperature
-        ).encode()
-
-    def _line(self, ticks: int, gyro: Triple, accel: Triple | None, temperature: int) -> bytes:
-        numbers = [*gyro, *(accel or ())]
-        if self._settings.text_time:
-            numbers.insert(0, ticks)
-        if self._settings.text_temperature:
-            numbers.append(temperature)
-        return (self._settings.text_separator.join(map(str, numbers)) + "\r\n").encode()
+            frame = Batch(flags, number, ticks, tuple(gyro), rows, temperature)
+        else:
+            frame = Sample(flags, number, ticks, gyro[0], accel[0] if accel else None, temperature)
+        return self._protocol.encode(frame, self._settings)
 
 
 def inject_line_faults(faults: BoardFaults, first: int, frames: list[Frame]) -> list[Frame]:

@@ -1,8 +1,8 @@
 """The link to one board: its identity, its clock, and whether it still sends samples.
 
-Parser and samples know nothing of ports; this module connects them to one. A board that
-speaks GCB1 is asked for a HELLO after its port was opened and after silence, and for its time
-about five times per second at random moments. Regular requests would beat with the 1 ms
+Parser and samples know nothing of ports; this module connects them to one. A board whose
+protocol has requests is asked for a HELLO after its port was opened and after silence, and for
+its time about five times per second at random moments. Regular requests would beat with the 1 ms
 frames of USB, which biases the clock map (docs/clocks.md). After a port was closed and opened,
 the board must identify itself before a sample is used, and its clock is mapped again.
 `BoardPresence` has the state of the link.
@@ -14,10 +14,10 @@ from dataclasses import fields
 from gyrorig_daemon.clocks import ClockReport
 from gyrorig_daemon.clocks.capture_clock import CaptureClock
 from gyrorig_daemon.config import BoardPort
-from gyrorig_daemon.links.boards.board_metadata import board_metadata, make_parser
+from gyrorig_daemon.links.boards.board_metadata import board_metadata
 from gyrorig_daemon.links.boards.board_presence import SILENCE_S, BoardPresence, LinkState
 from gyrorig_daemon.links.boards.pending_pings import PendingPings
-from gyrorig_daemon.links.boards.sample_stream import FRAME_OVERHEAD_BYTES, BoardSinks, SampleStream
+from gyrorig_daemon.links.boards.sample_stream import BoardSinks, SampleStream
 from gyrorig_daemon.links.ports.port_hub import Chunk, PortChange
 from gyrorig_daemon.links.pump import Pump
 from gyrorig_protocol.board import (
@@ -26,11 +26,11 @@ from gyrorig_protocol.board import (
     FrameEvent,
     FrameFault,
     Hello,
-    HelloRequest,
     Sample,
     Slow,
     TimeReply,
 )
+from gyrorig_protocol.board_protocols import SerialProtocol, find_protocol
 from gyrorig_protocol.errors import DeviceError
 
 MEAN_PING_INTERVAL_S = 0.2
@@ -69,10 +69,12 @@ class BoardLink:
         self._samples = SampleStream(config, clock, sinks)
         self.counts = self._samples.counts
         self._presence = BoardPresence(pump.is_up(config.hub_port), now_ns)
-        self._is_gcb1 = config.format == "gcb1"
-        self._parser = make_parser(config)
-        self._is_identified = not self._is_gcb1  # since the port was opened
-        self._pinned_uid: str | None = config.facts.uid if self._is_gcb1 else None
+        protocol = find_protocol(config.format, bool(config.bus))
+        self._serial = protocol if isinstance(protocol, SerialProtocol) else None
+        self._parser = None if self._serial is None else self._serial.make_parser(config)
+        self._identifies_itself = protocol.identifies_itself
+        self._is_identified = not protocol.identifies_itself  # since the port was opened
+        self._pinned_uid: str | None = config.facts.uid if protocol.identifies_itself else None
         self._boot_count: int | None = None
         self._epoch_count_at_boot = 0
         self._was_disconnected = False
@@ -109,7 +111,7 @@ class BoardLink:
         """
         end_ns = self._pump.now_ns() + int(HELLO_TIMEOUT_S * 1e9)
         while self._pump.now_ns() < end_ns and not self._is_identification_over():
-            if self._is_gcb1 and not self.is_absent:
+            if self._identifies_itself and not self.is_absent:
                 self._request_hello(self._pump.now_ns())
             next_ns = self._pump.now_ns() + int(HELLO_INTERVAL_S * 1e9)
             self._pump.run_until(min(next_ns, end_ns), self._is_identification_over)
@@ -139,7 +141,7 @@ class BoardLink:
 
     def unpin_identity(self) -> None:
         """Accept another board in its place; the next recording identifies it."""
-        self._pinned_uid = self._config.facts.uid if self._is_gcb1 else None
+        self._pinned_uid = self._config.facts.uid if self._identifies_itself else None
         if self.state is LinkState.FOREIGN:
             self._reset_connection(self._pump.now_ns())
 
@@ -158,7 +160,8 @@ class BoardLink:
 
     def faults(self) -> dict[str, int]:
         """Return the parser's counters by cause."""
-        return {cause.name.lower(): count for cause, count in self._parser.faults.items()}
+        faults = {} if self._parser is None else self._parser.faults
+        return {cause.name.lower(): count for cause, count in faults.items()}
 
     def values(self) -> dict[str, str]:
         """Return every counter, also those of the board, by name for /diagnostics and status."""
@@ -191,7 +194,7 @@ class BoardLink:
         if self._presence.is_reopening_due(processed_until_ns):
             self._reopen()
             return
-        if not self._is_gcb1 or now_ns < self._write_retry_ns:
+        if not self._identifies_itself or now_ns < self._write_retry_ns:
             return
         try:
             if self.is_known:
@@ -206,10 +209,13 @@ class BoardLink:
 
     def _request_hello(self, now_ns: int) -> None:
         self._last_hello_request_ns = now_ns
-        self._pump.write(self._config.hub_port, HelloRequest().encode())
+        if self._serial is not None:
+            self._pump.write(self._config.hub_port, self._serial.hello_request())
 
     def _request_time(self, now_ns: int) -> None:
-        frame = self._pings.make_request(now_ns)
+        if self._serial is None or not self._serial.answers_time_requests:
+            return
+        frame = self._serial.time_request(*self._pings.next_request(now_ns))
         write_times = self._pump.write(self._config.hub_port, frame)
         self._pings.record_sent(write_times, self._samples.wire_ns(len(frame)))
 
@@ -224,8 +230,9 @@ class BoardLink:
         self.counts.late_chunks += chunk.late_ns > 0
         if len(self._first_bytes) < FIRST_BYTES_LIMIT:
             self._first_bytes += chunk.data[:FIRST_BYTES_LIMIT]
-        for event in self._parser.feed(chunk.data, chunk.received_ns):
-            self._handle_event(event)
+        if self._parser is not None:
+            for event in self._parser.feed(chunk.data, chunk.received_ns):
+                self._handle_event(event)
 
     def _handle_event(self, event: BoardEvent) -> None:
         if isinstance(event, FrameFault):
@@ -260,7 +267,7 @@ class BoardLink:
             return
         self.slow = slow
         self._check_boot_count(slow.boot)
-        wire_ns = self._samples.wire_ns(len(event.payload) + FRAME_OVERHEAD_BYTES)
+        wire_ns = self._samples.frame_duration_ns(len(event.payload))
         self._samples.clock.observe_one_way(slow.device_time, event.received_ns - wire_ns)
 
     def _handle_hello(self, hello: Hello, payload: bytes) -> None:
@@ -308,7 +315,7 @@ class BoardLink:
         )
 
     def _handle_time_reply(self, reply: TimeReply, event: FrameEvent) -> None:
-        wire_ns = self._samples.wire_ns(len(event.payload) + FRAME_OVERHEAD_BYTES)
+        wire_ns = self._samples.frame_duration_ns(len(event.payload))
         answer = self._pings.match_reply(reply, event.received_ns)
         if answer is None:
             return
@@ -353,12 +360,13 @@ class BoardLink:
     def _reset_connection(self, now_ns: int) -> None:
         """Forget what was known about the board, because its port was opened again."""
         self._presence.mark_reopened(now_ns)
-        self._parser.reset()
+        if self._parser is not None:
+            self._parser.reset()
         self._samples.remap()
         self._samples.has_samples = False
         self._pings.clear()
         self._was_disconnected = True
-        self._is_identified = not self._is_gcb1
+        self._is_identified = not self._identifies_itself
         self._write_retry_ns = 0
         self._last_hello_request_ns = now_ns - int(HELLO_INTERVAL_S * 1e9) - 1  # at once
         self.due_ns = now_ns

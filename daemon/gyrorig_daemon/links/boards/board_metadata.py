@@ -6,8 +6,9 @@ Unknown values are left out, never guessed.
 import math
 
 from gyrorig_daemon.config import BoardPort
-from gyrorig_protocol.board import FrameParser, Hello, TextLineParser
+from gyrorig_protocol.board import Hello
 from gyrorig_protocol.board.json_frames import Sensor
+from gyrorig_protocol.board_protocols import find_protocol
 from gyrorig_protocol.errors import UsageError
 
 STANDARD_GRAVITY_M_S2 = 9.80665  # CGPM 1901, resolution 2
@@ -18,11 +19,6 @@ _TO_M_S2 = {"g": STANDARD_GRAVITY_M_S2, "m/s2": 1.0}
 _SENSOR_NAMES = {0xD3: "L3G4200D"}
 
 
-def make_parser(config: BoardPort) -> FrameParser | TextLineParser:
-    """Return the parser for the format of the board."""
-    return FrameParser() if config.columns is None else TextLineParser(config.columns)
-
-
 def board_metadata(config: BoardPort, hello: Hello | None) -> dict[str, str]:
     """Return the record `gyrorig.board.<id>` of a recording.
 
@@ -30,7 +26,7 @@ def board_metadata(config: BoardPort, hello: Hello | None) -> dict[str, str]:
         UsageError: neither the board nor the configuration has a required value.
     """
     values: dict[str, str | float | int | None] = {"link": "can" if config.bus else "serial"}
-    values |= _from_hello(hello) if hello is not None else _from_columns(config)
+    values |= _from_hello(hello) if hello is not None else _from_protocol(config)
     facts = config.facts
     for key in facts.__struct_fields__:
         if values.get(key) in (None, ""):
@@ -73,16 +69,9 @@ def _from_hello(hello: Hello) -> dict[str, str | float | int | None]:
     return values
 
 
-def _from_columns(config: BoardPort) -> dict[str, str | float | int | None]:
-    columns = config.columns
-    if columns is None:
-        return {}
-    return {
-        "gyro_scale_rad_s": columns.gyro_scale_rad_s,
-        "accel_scale_m_s2": columns.accel_scale_m_s2,
-        "temperature_scale_c": columns.temperature_scale_c,
-        "tick_hz": columns.tick_hz,
-    }
+def _from_protocol(config: BoardPort) -> dict[str, str | float | int | None]:
+    protocol = find_protocol(config.format, bool(config.bus))
+    return {"counter_bits": protocol.counter_bits, **protocol.scales(config)}
 
 
 def _sensor_name(sensor: Sensor) -> str:

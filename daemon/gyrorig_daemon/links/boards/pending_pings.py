@@ -6,7 +6,7 @@ request interval.
 
 from gyrorig_daemon.clocks.capture_clock import CaptureClock
 from gyrorig_daemon.links.ports.port_hub import WriteTimes
-from gyrorig_protocol.board import TimeReply, TimeRequest
+from gyrorig_protocol.board import TimeReply
 from gyrorig_protocol.recording.clock_messages import ClockPing
 
 MAX_PENDING_PINGS = 32
@@ -20,9 +20,9 @@ class PendingPings:
         self._next_nonce = first_nonce
         self._pending: dict[int, tuple[int, int]] = {}  # nonce -> time of writing, earliest arrival
 
-    def make_request(self, now_ns: int) -> bytes:
-        """Return the frame of a new request."""
-        return TimeRequest(self._next_nonce, self._capture.utc_ns(now_ns)).encode()
+    def next_request(self, now_ns: int) -> tuple[int, int]:
+        """Return the nonce of a new request, and the time of the host in it, ns."""
+        return self._next_nonce, self._capture.utc_ns(now_ns)
 
     def record_sent(self, write_times: WriteTimes, wire_ns: int) -> None:
         """Store when the new request was written and how long it is on the wire."""

@@ -14,11 +14,11 @@ from gyrorig_daemon.clocks import OnlineClock
 from gyrorig_daemon.clocks.capture_clock import CaptureClock
 from gyrorig_daemon.config import BoardPort
 from gyrorig_protocol.board import Batch, FrameEvent, Hello, Sample
+from gyrorig_protocol.board_protocols import SerialProtocol, find_protocol
 from gyrorig_protocol.identity import BoardId
 from gyrorig_protocol.recording.clock_messages import ClockPing
 from gyrorig_protocol.recording.messages import ImuRaw, ImuStatus
 
-FRAME_OVERHEAD_BYTES = 5  # CRC 2, stuffing 1, delimiters 2
 BITS_PER_BYTE = 10
 SEQUENCE_BITS = 16
 DEFAULT_TICK_HZ = 1e6
@@ -74,8 +74,8 @@ class SampleStream:
         self._capture = capture
         self._sinks = sinks
         self._board_id = config.board_id
-        self._is_gcb1 = config.format == "gcb1"
-        self._has_edges = self._is_gcb1 and bool(config.bus)
+        self._protocol = find_protocol(config.format, bool(config.bus))
+        self._has_edges = self._protocol.sends_clock_at_edges
         self._hello: Hello | None = None
         self._last_sequence: int | None = None
         self._pending_epoch: _EpochReason | None = None  # starts with the next timestamp
@@ -124,7 +124,7 @@ class SampleStream:
         arrival_ns = event.received_ns
         mapped_ns = arrival_ns
         if last.device_time is not None:
-            wire_ns = self._frame_duration_ns(len(event.payload))
+            wire_ns = self.frame_duration_ns(len(event.payload))
             mapped_ns = self.clock.observe(
                 last.device_time, arrival_ns, wire_ns, last.sequence, not self._has_edges
             )
@@ -145,7 +145,7 @@ class SampleStream:
         """Do the same for a frame of one sample; there are thousands per second."""
         arrival_ns = taken_ns = event.received_ns
         if sample.device_time is not None:
-            wire_ns = self._frame_duration_ns(len(event.payload))
+            wire_ns = self.frame_duration_ns(len(event.payload))
             clock = self.clock
             taken_ns = clock.observe(
                 sample.device_time, arrival_ns, wire_ns, sample.sequence, not self._has_edges
@@ -199,13 +199,13 @@ class SampleStream:
         self._last_first_sequence, self._last_sequence = first_sequence, samples[-1].sequence
 
     def _new_clock(self) -> OnlineClock:
-        facts, columns = self._config.facts, self._config.columns
-        tick_hz = facts.tick_hz or (columns and columns.tick_hz) or DEFAULT_TICK_HZ
+        facts, scales = self._config.facts, self._protocol.scales(self._config)
+        tick_hz = float(scales.get("tick_hz") or facts.tick_hz or DEFAULT_TICK_HZ)
         if self._hello is not None:
             tick_hz = self._hello.tick_hz
         self._tick_hz = tick_hz
-        bits = 32 if self._is_gcb1 else facts.counter_bits or 64
-        return OnlineClock(tick_hz, bits, SEQUENCE_BITS if self._is_gcb1 else 32)
+        bits = self._protocol.counter_bits or scales.get("counter_bits") or facts.counter_bits
+        return OnlineClock(tick_hz, int(bits or 64), self._protocol.sequence_bits)
 
     def _period_ticks(self, batch: Batch) -> float:
         """Return the ticks between two samples of a batch.
@@ -227,11 +227,12 @@ class SampleStream:
             return nominal
         return period
 
-    def _frame_duration_ns(self, payload_bytes: int) -> int:
+    def frame_duration_ns(self, payload_bytes: int) -> int:
         """Return the transmission time of a frame from its payload length."""
         duration_ns = self._frame_durations_ns.get(payload_bytes)
         if duration_ns is None:
-            overhead = FRAME_OVERHEAD_BYTES if self._is_gcb1 else 0
+            protocol = self._protocol
+            overhead = protocol.overhead_bytes if isinstance(protocol, SerialProtocol) else 0
             duration_ns = self._frame_durations_ns[payload_bytes] = self.wire_ns(
                 payload_bytes + overhead
             )

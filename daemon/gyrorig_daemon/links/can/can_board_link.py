@@ -16,16 +16,8 @@ from gyrorig_daemon.links.boards.board_link import BoardLink
 from gyrorig_daemon.links.boards.sample_stream import BoardSinks
 from gyrorig_daemon.links.pump import Pump
 from gyrorig_protocol.board import Hello
-from gyrorig_protocol.can import (
-    CanBoardParser,
-    CanFrame,
-    CanSignalParser,
-    LatchEvent,
-    ResolvedSignalMap,
-    hello_request_frame,
-    pack_frames,
-    resolve_signals,
-)
+from gyrorig_protocol.board_protocols import find_can_protocol
+from gyrorig_protocol.can import CanBoardParser, CanFrame, LatchEvent, pack_frames
 from gyrorig_protocol.recording.clock_messages import ClockPing
 
 _MAX_CODE = (1 << 15) - 1
@@ -43,15 +35,11 @@ class CanBoardLink(BoardLink):
         rng: random.Random,
     ) -> None:
         """Attach to no port; the bus passes on the board's frames."""
-        self._can_parser: CanBoardParser | CanSignalParser
-        if config.signals is None:
-            self._can_parser = CanBoardParser(config.node or 0)
-            location = f"node {config.node} of bus {config.bus}"
-        else:
-            bound = resolve_signals(config.signals, config.id)
-            self._can_parser = CanSignalParser(bound)
-            config = _with_signal_map_scales(config, bound)
-            location = f"bus {config.bus}"
+        self._can = find_can_protocol(config.format)
+        self._can_parser = self._can.make_parser(config)
+        location = f"bus {config.bus}"
+        if config.node is not None:
+            location = f"node {config.node} of {location}"
         super().__init__(pump, msgspec.structs.replace(config, port=location), clock, sinks, rng)
         self.bus_counts: Mapping[str, int] = {}  # of the bus, by cause
 
@@ -124,8 +112,9 @@ class CanBoardLink(BoardLink):
 
     def _request_hello(self, now_ns: int) -> None:
         self._last_hello_request_ns = now_ns
-        request = hello_request_frame(self._config.node or 0)
-        self._pump.write(self._config.hub_port, pack_frames([request]))
+        request = self._can.hello_request(self._config)
+        if request is not None:
+            self._pump.write(self._config.hub_port, pack_frames([request]))
 
     def _request_time(self, now_ns: int) -> None:
         """Do nothing: the bus sends edges to all boards at once."""
@@ -133,20 +122,6 @@ class CanBoardLink(BoardLink):
     def _reopen(self) -> None:
         if self._presence.is_newly_degraded:
             self._sinks.fault(f"{self._location()} {self._silence_description()}. Check the board")
-        self._is_identified = not self._is_gcb1  # it may have been replaced: identify it again
-
-
-def _with_signal_map_scales(config: BoardPort, bound: ResolvedSignalMap) -> BoardPort:
-    """Return the configuration with the scales of the board's signal map."""
-    facts = config.facts
-    counter_bits = None if bound.time is None else bound.time.signal.bit_length
-    scales = {
-        "sensor": facts.sensor or bound.sensor or None,
-        "gyro_scale_rad_s": bound.gyro_scale_rad_s,
-        "accel_scale_m_s2": bound.accel_scale_m_s2,
-        "temperature_scale_c": bound.temperature_scale_c,
-        "temperature_offset_c": None if bound.temperature is None else 0.0,
-        "tick_hz": bound.tick_hz,
-        "counter_bits": counter_bits,
-    }
-    return msgspec.structs.replace(config, facts=msgspec.structs.replace(facts, **scales))
+        self._is_identified = (
+            not self._identifies_itself
+        )  # it may have been replaced: identify it again

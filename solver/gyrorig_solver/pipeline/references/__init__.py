@@ -2,5 +2,6 @@
 
 To add a kind, add a file with a `KIND`. A reference that gives the rate at each moment is a
 `motion_kind.MotionKind`, which needs only a reader of its motion. Any other is a
-`reference_kind.ReferenceKind` with its own fit.
+`reference_kind.ReferenceKind` with its own fit. Extensions are in
+`gyrorig_extensions/references`, see `gyrorig_protocol.module_registry`.
 """
