@@ -10,7 +10,7 @@ import numpy as np
 from gyrorig_solver.discover.exact_fit import FittedCandidate, fit_candidate
 from gyrorig_solver.discover.score_tests import CandidateScore, scan_catalogue, testable_places
 from gyrorig_solver.discover.template_choice import all_templates
-from gyrorig_solver.discover.testable_terms import testable_instances
+from gyrorig_solver.discover.testable_terms import FALSE_ALARM_RATE, testable_instances
 from gyrorig_solver.estimate import FittedTerm, NuisanceProjector
 from gyrorig_solver.model import Term, recording_index_of, term_label, value_indices
 from gyrorig_solver.model.catalogue import catalogue
@@ -28,7 +28,7 @@ def fit_leading(
     scores: Sequence[CandidateScore],
     fitted_labels: set[str],
     tests: int,
-    fit_law: Callable[[Term], FittedCandidate | None],
+    fit_law: Callable[[Term, float], FittedCandidate | None],
 ) -> list[tuple[FittedCandidate, float]]:
     """Fit the causes with the best scores and their confusable ones, each at its best place.
 
@@ -41,7 +41,8 @@ def fit_leading(
         scores: of all places of all causes.
         fitted_labels: causes of the fit.
         tests: how many share the false alarms.
-        fit_law: fits a cause that changes the motion law under its own law.
+        fit_law: fits a cause that changes the motion law under its own law, given the evidence
+            that it needs to be the best.
 
     Returns:
         Each fitted cause with the effective number of its trials.
@@ -72,8 +73,7 @@ def fit_leading(
         for instance in testable_instances(equivalent, projection)
         if recording_index_of(instance) == recording_index_of(term) and instance not in terms
     ]
-    laws = [fit_law(term) for label, term in law_terms.items() if label in shown]
-    candidates = [(candidate, 1.0) for candidate in laws if candidate is not None]
+    candidates: list[tuple[FittedCandidate, float]] = []
     for term in terms:
         if term_label(term) in fitted_labels:
             continue
@@ -84,6 +84,19 @@ def fit_leading(
         fitted = fit_best_place(projection, term_scores)
         if fitted is not None:
             candidates.append(fitted)
+    needed_nats = max(
+        (
+            candidate.log_evidence
+            for candidate, trials in candidates
+            if global_p_value(candidate, trials, tests) < FALSE_ALARM_RATE
+        ),
+        default=-np.inf,
+    )
+    for label, term in law_terms.items():
+        law = fit_law(term, needed_nats) if label in shown else None
+        if law is not None:
+            candidates.append((law, 1.0))
+            needed_nats = max(needed_nats, law.log_evidence)
     return candidates
 
 

@@ -14,9 +14,11 @@ from gyrorig_solver.discover.candidate_fits import fit_leading, fitted_place
 from gyrorig_solver.discover.cause_findings import RivalCause
 from gyrorig_solver.discover.exact_fit import FittedCandidate, fit_candidate
 from gyrorig_solver.discover.extended_fit import extend_fit
-from gyrorig_solver.discover.fit_space import Space
+from gyrorig_solver.discover.fit_space import FitSpace, Space
 from gyrorig_solver.discover.law_candidates import fit_law_cause, judge_law_cause
 from gyrorig_solver.discover.score_tests import scan_catalogue
+from gyrorig_solver.discover.testable_terms import FALSE_ALARM_RATE
+from gyrorig_solver.estimate import NuisanceProjector
 from gyrorig_solver.model import Term, recording_index_of, term_label
 
 CREDIBLE_SET_LEVEL = 0.95  # belief that the stated set holds the cause
@@ -25,6 +27,10 @@ MIN_EVIDENCE_LEAD_NATS = 1.0  # nats of evidence that a rival must be ahead by
 # Share of a cause's statistic: twice what its form may leave of its effect without any noise
 # (measured on sessions without noise: 0.2 %).
 MODEL_ERROR_SHARE = 0.004
+IRRELEVANT_SHARE = 1e-3  # a rival with a smaller posterior probability need not be fitted
+# Bound on the gain of a motion law: so many times that of its score test, to first order. It holds
+# where the law shows nothing in addition to the named cause.
+FIRST_ORDER_FACTOR = 20.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -122,13 +128,14 @@ def review_ranking(
     """
     for swap in range(MAX_SWAPS + 1):
         ranked_causes, replacement = [], None
+        shows_beside = _significance_beside(space, tests)
         for k, extension in enumerate(space.fitted_terms):
             if not extension.free_indices.size:
                 continue
             label = term_label(extension.term)
             labels = considered.get(label, set()) | confusable_labels(extension.term, terms)
             candidates = [term for term in terms if term_label(term) in {*labels, label}]
-            ranked = rank_against_alternatives(space, k, candidates, tests)
+            ranked = rank_against_alternatives(space, k, candidates, tests, shows_beside)
             ranked_causes.append(ranked)
             lead = (
                 ranked.rivals and ranked.rivals[0][0].log_evidence - ranked.candidate.log_evidence
@@ -146,6 +153,23 @@ def review_ranking(
     return space, tuple(ranked_causes)
 
 
+def _significance_beside(space: FitSpace, tests: int) -> Callable[[Term], bool]:
+    """Return the function that says whether a cause is significant beside those of a fit."""
+    projectors: list[NuisanceProjector] = []
+    answers: dict[str, bool] = {}
+
+    def shows_beside(term: Term) -> bool:
+        label = term_label(term)
+        if label not in answers:
+            if not projectors:
+                projectors.append(space.projector())
+            scores = scan_catalogue(projectors[0], [term], tests)
+            answers[label] = any(score.p_value < FALSE_ALARM_RATE for score in scores)
+        return answers[label]
+
+    return shows_beside
+
+
 def confusable_labels(term: Term, terms: Sequence[Term]) -> set[str]:
     """Return the labels of the causes that are confusable with a cause."""
     recording = recording_index_of(term)
@@ -158,15 +182,23 @@ def confusable_labels(term: Term, terms: Sequence[Term]) -> set[str]:
 
 
 def rank_against_alternatives(
-    space: Space, k: int, terms: Sequence[Term], tests: int
+    space: Space,
+    k: int,
+    terms: Sequence[Term],
+    tests: int,
+    shows_beside: Callable[[Term], bool] = lambda _: True,
 ) -> RankedCause:
     """Rank one cause of a fit against the alternatives in its place.
+
+    An alternative that changes the motion law needs a fit of its own. It has none if it cannot be a
+    rival: its score test gains little, and it explains nothing in addition to the named cause.
 
     Args:
         space: the fit.
         k: which of its causes.
         terms: those that might, itself among them.
         tests: how many share the false alarms.
+        shows_beside: whether a cause is significant in addition to all causes of the fit.
     """
     extension = space.fitted_terms[k]
     others = [other for j, other in enumerate(space.fitted_terms) if j != k]
@@ -181,15 +213,6 @@ def rank_against_alternatives(
     scores = scan_catalogue(
         projector, [t for t in terms if term_label(t) not in fitted_labels], tests
     )
-    laws: dict[str, FittedCandidate | None] = {}
-
-    def fit_law(term: Term) -> FittedCandidate | None:
-        if term_label(term) != own_label:
-            laws[term_label(term)] = fit_law_cause(without, term, others).candidate
-        return laws.get(term_label(term))
-
-    candidates = fit_leading(projector, scores, scores, fitted_labels, tests, fit_law)
-    same_cause = [pair for pair in candidates if term_label(pair[0].extension.term) == own_label]
     if changes_law:
         refitted: FittedCandidate | None = judge_law_cause(
             space, k, without, fitted_place(extension)
@@ -202,6 +225,31 @@ def rank_against_alternatives(
             [extension.values],
             search_event=True,
         )
+    laws: dict[str, FittedCandidate] = {}
+
+    def fit_law(term: Term, needed_nats: float) -> FittedCandidate | None:
+        label = term_label(term)
+        if label == own_label:
+            return None
+        replaced_nats = 0.0
+        if refitted is not None:
+            gain_nats = refitted.delta_log_likelihood
+            needed_nats = refitted.log_evidence - _irrelevant_nats(gain_nats)
+            first_order = max(
+                score.score_test.statistic for score in scores if term_label(score.term) == label
+            )
+            if 0.5 * FIRST_ORDER_FACTOR * first_order < needed_nats and not shows_beside(term):
+                return None
+            replaced_nats = 0.0 if changes_law else gain_nats
+        law = fit_law_cause(
+            without, term, others, needed_nats - replaced_nats, replaced_nats
+        ).candidate
+        if law is not None:
+            laws[label] = law
+        return law
+
+    candidates = fit_leading(projector, scores, scores, fitted_labels, tests, fit_law)
+    same_cause = [pair for pair in candidates if term_label(pair[0].extension.term) == own_label]
     if refitted is not None and (
         not same_cause or refitted.log_evidence > same_cause[0][0].log_evidence
     ):
@@ -226,6 +274,11 @@ def rank_against_alternatives(
     order = np.argsort(-evidence[1:], kind="stable")
     rivals = tuple((alternatives[j], float(posterior[1 + j])) for j in order)
     return RankedCause(best, effective_trials, rivals, float(posterior[0]))
+
+
+def _irrelevant_nats(best_gain_nats: float) -> float:
+    """Return by how much less evidence a rival has no probability worth stating."""
+    return float(-np.log(IRRELEVANT_SHARE) * np.hypot(1.0, MODEL_ERROR_SHARE * best_gain_nats))
 
 
 def _in_place_of(named: FittedCandidate, rival: FittedCandidate) -> FittedCandidate:

@@ -99,6 +99,8 @@ class _Search(Generic[Space]):
         if best is not self._space:
             self._continue_with(best)
             self._gains_by_label = {}
+        if self._space is not self._memory.visited[0]:
+            self._continue_with(self._space.confirm())
         return self._ranked_result()
 
     def _continue_with(self, space: Space) -> None:
@@ -132,9 +134,9 @@ class _Search(Generic[Space]):
                 return _Selection(candidate, trials, considered)
         return None
 
-    def _fit_law(self, term: Term) -> FittedCandidate | None:
+    def _fit_law(self, term: Term, needed_nats: float) -> FittedCandidate | None:
         """Fit a candidate under its own motion law; None if the fit does not converge."""
-        fitted = fit_law_cause(self._space, term)
+        fitted = fit_law_cause(self._space, term, needed_nats=needed_nats)
         if fitted.candidate is None:
             self._memory.leave_out(term_label(term), fitted.space)
         return fitted.candidate
@@ -225,6 +227,8 @@ class _Search(Generic[Space]):
             self._considered,
             lambda swapped: swapped.convergence.converged and not _causes_without_gain(swapped),
         )
+        if space is not self._space:
+            space = space.confirm()
         keep = space is self._space and (not self._typical or space.has_typical_noise)
         return SearchResult(
             space,

@@ -101,6 +101,10 @@ class FitSpace(ABC):
     def release_caches(self) -> None:  # noqa: B027 - nothing to free by default
         """Free what is computed again when it is needed."""
 
+    def confirm(self) -> Self:
+        """Return the fit, continued where new derivatives would change its values."""
+        return self
+
     def refit_gain(self) -> Self:
         """Return the fit with its gain searched again where a cause hides rates from it."""
         return self

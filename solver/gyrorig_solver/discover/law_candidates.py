@@ -24,6 +24,12 @@ from gyrorig_solver.estimate import FittedTerm, free_term
 from gyrorig_solver.estimate.noise.outliers import OUTLIER_SIGMA
 from gyrorig_solver.model import Term, value_indices, value_parameters
 
+# A fit that then has not converged, and predicts less gain than is needed, is given up.
+FIRST_EVALUATIONS = 12
+OPTIMUM_FACTOR = 3.0
+MIN_OPTIMUM_NATS = 10.0  # that another optimum may gain, where this one gains nothing
+OUTLIER_NATS = 0.5 * OUTLIER_SIGMA**2  # that a fit loses by the rejection of a sample
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LawCandidate(Generic[Space]):
@@ -34,45 +40,82 @@ class LawCandidate(Generic[Space]):
 
 
 def fit_law_cause(
-    space: Space, term: Term, others: Sequence[FittedTerm] | None = None
+    space: Space,
+    term: Term,
+    others: Sequence[FittedTerm] | None = None,
+    needed_nats: float = -np.inf,
+    replaced_nats: float = 0.0,
 ) -> LawCandidate[Space]:
     """Fit a cause under its own law, at the place or places with the most evidence.
+
+    The places are fitted one by one only if one of them can have the needed evidence; see
+    `largest_evidence`.
 
     Args:
         space: the fit that the gain is relative to.
         term: the cause.
         others: the other causes of the new fit; None: all of the present fit.
+        needed_nats: evidence of another candidate. With less, this one is not chosen.
+        replaced_nats: log-likelihood gained by the causes of the fit that are not in the new one.
     """
     other_terms = space.fitted_terms if others is None else others
-    extended = space.refit([*other_terms, free_term(term)])
+    extended = space.refit([*other_terms, free_term(term)], FIRST_EVALUATIONS)
+    if not extended.convergence.converged:
+        reached = judge_law_cause(extended, len(other_terms), space).delta_log_likelihood
+        if reached + extended.convergence.remaining_nats < needed_nats:
+            return LawCandidate(extended, None)
+        extended = extended.refit(extended.fitted_terms)
     if not extended.convergence.converged:
         return LawCandidate(extended, None)
     fitted = extended.fitted_terms[len(other_terms)]
-    best = _retest_outliers(extended, space, len(other_terms), None)
+    judged = judge_law_cause(extended, len(other_terms), space)
+    if largest_evidence(judged, extended.outliers, replaced_nats) < needed_nats:
+        return LawCandidate(extended, judged)
+    best = _retest_outliers(extended, space, len(other_terms), None, judged)
     for place, _ in testable_places(term):
-        if place is None:
+        if place is None or largest_evidence(best[1], 0, replaced_nats) < needed_nats:
             continue
         indices = np.array(value_indices(term, place, "size"), dtype=np.int64)
         values = np.zeros_like(fitted.values)
         values[indices] = fitted.values[indices]
         restricted = extended.refit([*other_terms, FittedTerm(term, values, indices)])
         if restricted.convergence.converged:
-            judged = _retest_outliers(restricted, space, len(other_terms), place)
-            best = max(best, judged, key=lambda pair: pair[1].log_evidence)
+            first = judge_law_cause(restricted, len(other_terms), space, place)
+            tested = _retest_outliers(restricted, space, len(other_terms), place, first)
+            best = max(best, tested, key=lambda pair: pair[1].log_evidence)
     return LawCandidate(*best)
 
 
+def largest_evidence(judged: FittedCandidate, outliers: int, replaced_nats: float) -> float:
+    """Return a bound on the evidence of a cause at any of its places.
+
+    The cause at one place is a special case of the cause at all places, and the Occam factor is at
+    most 1. So the evidence is at most the gain at all places. Each outlier that agrees with the law
+    adds at most its penalty. A fit can end at a local optimum; the best one has less than
+    `OPTIMUM_FACTOR` of its gain (`test_law_bounds`).
+
+    Args:
+        judged: the cause at all places.
+        outliers: of its fit.
+        replaced_nats: as in `fit_law_cause`.
+    """
+    gain_nats = judged.delta_log_likelihood + replaced_nats + OUTLIER_NATS * outliers
+    return OPTIMUM_FACTOR * max(gain_nats, MIN_OPTIMUM_NATS) - replaced_nats
+
+
 def _retest_outliers(
-    extended: Space, space: Space, k: int, place: str | None
+    extended: Space, space: Space, k: int, place: str | None, judged: FittedCandidate
 ) -> tuple[Space, FittedCandidate]:
     """Return a fit with a cause at one place, and what the cause gains over another fit.
 
     An outlier of the other law can agree with this one.
     """
-    if extended.outliers:
-        again = extended.refit(extended.fitted_terms)
-        extended = again if again.convergence.converged else extended
-    return extended, judge_law_cause(extended, k, space, place)
+    if not extended.outliers:
+        return extended, judged
+    again = extended.refit(extended.fitted_terms)
+    if not again.convergence.converged:
+        return extended, judged
+    return again, judge_law_cause(again, k, space, place)
 
 
 def judge_law_cause(
@@ -89,7 +132,7 @@ def judge_law_cause(
     gain_nats, nats = without.log_likelihoods([space, without])
     gain_nats -= nats
     # The likelihoods leave out what either fit rejects, and a fit rejects what it explains badly.
-    gain_nats -= 0.5 * OUTLIER_SIGMA**2 * (space.outliers - without.outliers)
+    gain_nats -= OUTLIER_NATS * (space.outliers - without.outliers)
     extension, covariance = space.fitted_terms[k], _value_covariance(space, k)
     evidence = gain_nats + _occam_nats(extension, extension.free_indices, covariance)
     return FittedCandidate(

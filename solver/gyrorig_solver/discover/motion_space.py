@@ -32,6 +32,7 @@ from gyrorig_solver.estimate import (
     NoiseModel,
     NuisanceProjector,
     ParameterLayout,
+    confirm_fit,
     reference_cost,
     refit_with_terms,
 )
@@ -98,6 +99,10 @@ class MotionFitSpace(FitSpace):
     def release_caches(self) -> None:
         """Free what the sessions compute again when it is needed."""
         self.solution.release_caches()
+
+    def confirm(self) -> Self:
+        """Return the fit, continued where new derivatives would change its values."""
+        return type(self)(confirm_fit(self.solution))
 
     def refit_gain(self) -> Self:
         """Return the fit with its gain searched again where a threshold or limit hides rates."""

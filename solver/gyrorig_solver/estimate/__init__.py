@@ -35,7 +35,12 @@ from gyrorig_solver.estimate.information import (
     marginalise,
     white_noise_information,
 )
-from gyrorig_solver.estimate.likelihood_fit import MAX_EVALUATIONS, fit_likelihood, refit_with_terms
+from gyrorig_solver.estimate.likelihood_fit import (
+    MAX_EVALUATIONS,
+    confirm_fit,
+    fit_likelihood,
+    refit_with_terms,
+)
 from gyrorig_solver.estimate.linear.whitening import BASE_PARAMETERS
 from gyrorig_solver.estimate.motion_fit import fit_motion
 from gyrorig_solver.estimate.multi_board_fit import fit_boards_jointly
@@ -106,6 +111,7 @@ __all__ = [
     "bin_spectrum",
     "calibrate_as_printed",
     "choose_grids",
+    "confirm_fit",
     "derive_parameters",
     "expected_estimate",
     "fit_attitude",

@@ -69,9 +69,19 @@ class BoardFit:
         return board
 
     @classmethod
-    def resumed(cls, previous: ConvergedFit, fitted_terms: Sequence[FittedTerm]) -> Self:
-        """Start at the end of another fit of the same recordings, which is not changed."""
+    def resumed(
+        cls,
+        previous: ConvergedFit,
+        fitted_terms: Sequence[FittedTerm],
+        keep_rejected: bool = False,
+    ) -> Self:
+        """Start at the end of another fit of the same recordings, which is not changed.
+
+        `keep_rejected`: outliers of that fit stay outliers.
+        """
         board = cls([session.copy() for session in previous.sessions], fitted_terms)
+        for session in board.sessions:
+            session.keeps_rejected = keep_rejected
         board.gain, board.noises = previous.gain.copy(), list(previous.noises)
         board.update_predictions()
         return board

@@ -11,10 +11,12 @@ algebra, `noise.noise_model` for the density, `board_fit` for one board, `sessio
 recording and `observability` for which values are reported.
 
 What to use when: `fit_likelihood` for a first fit of one board; `refit_with_terms` to fit the same
-recordings with other causes; `multi_board_fit` for several boards.
+recordings with other causes; `confirm_fit` before values are stated; `multi_board_fit` for several
+boards.
 """
 
 from collections.abc import Collection, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -38,6 +40,11 @@ from gyrorig_solver.estimate.trust_region import Convergence, ProposedStep, mini
 
 MAX_EVALUATIONS = 40  # of the objective
 MAX_MOTION_NOISE_UPDATES = 3  # each followed by another minimisation
+MAX_CONFIRMATIONS = 4  # each with at most so many evaluations:
+CONFIRMING_EVALUATIONS = 15
+ROUGH_CONFIRMATIONS = 2  # after so many, only the predicted decrease counts
+CONFIRMED_SIGMA = 0.1  # of the next step with new derivatives: no stated digit changes
+CONFIRMED_NATS = 0.1  # of its predicted decrease; then no parameter moves by 0.45 deviations
 
 
 def fit_likelihood(
@@ -70,16 +77,57 @@ def refit_with_terms(
     return _fit_board(BoardFit.resumed(previous, fitted_terms), max_evaluations)
 
 
-def _fit_board(board: BoardFit, max_evaluations: int) -> ConvergedFit:
+def confirm_fit(solution: ConvergedFit) -> ConvergedFit:
+    """Return a fit, continued until new derivatives and a new test for outliers change nothing.
+
+    A fit keeps its derivatives and outliers while its steps are small. Where a cause has a
+    threshold, or a misfit looks like an outlier, its end is then near the optimum but not at it.
+    After the first round, a sample that was rejected stays rejected: two sets of outliers that
+    lead to each other would follow without an end.
+
+    Args:
+        solution: a fit; it is left as it is.
+
+    Returns:
+        The fit at its optimum. If steps with new derivatives still promise something, it has not
+        converged.
+    """
+    if not solution.converged:
+        return solution
+    for k in range(MAX_CONFIRMATIONS + 1):
+        board = BoardFit.resumed(solution, solution.fitted_terms, keep_rejected=k > 0)
+        fit = LikelihoodFit([board])
+        step = fit.propose(0.0)
+        # A threshold makes the objective rough, so that the last steps do not become smaller.
+        is_small = step.size_sigma < CONFIRMED_SIGMA or k >= ROUGH_CONFIRMATIONS
+        if step.predicted_decrease < CONFIRMED_NATS and is_small:
+            evaluations = solution.convergence.evaluations
+            return replace(
+                solution, convergence=Convergence(True, evaluations, step.predicted_decrease)
+            )
+        if k < MAX_CONFIRMATIONS:
+            solution = _fit_board(board, CONFIRMING_EVALUATIONS, always_renew=True)
+    largest = int(np.argmax(np.abs(step.sigmas)))
+    moving = Convergence(
+        False,
+        solution.convergence.evaluations,
+        step.predicted_decrease,
+        fit.parameter_names[largest],
+        step.size_sigma,
+    )
+    return replace(solution, convergence=moving)
+
+
+def _fit_board(board: BoardFit, max_evaluations: int, always_renew: bool = False) -> ConvergedFit:
     """Fit one board, and its noise in motion."""
     fit = LikelihoodFit([board])
-    convergence = minimise(fit, max_evaluations)
+    convergence = minimise(fit, max_evaluations, always_renew=always_renew)
     for _ in range(MAX_MOTION_NOISE_UPDATES):
         # Before convergence a misfit can look like noise.
         if not convergence.converged or not board.update_motion_noise():
             break
         fit = LikelihoodFit([board])
-        convergence = minimise(fit, max_evaluations)
+        convergence = minimise(fit, max_evaluations, always_renew=always_renew)
     return fit.solutions(convergence)[0]
 
 

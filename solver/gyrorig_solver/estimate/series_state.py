@@ -152,6 +152,7 @@ class SeriesState:
         values: FitValues,
         relative_std: RelativeStd | None,
         quantum_rad_s: float,
+        keeps_rejected: bool,
     ) -> None:
         """Decide again which samples of a part are outliers.
 
@@ -161,6 +162,7 @@ class SeriesState:
             values: of the fit; what an impulse of pan or tilt explains is no outlier.
             relative_std: of the noise; None: the same everywhere.
             quantum_rad_s: one count.
+            keeps_rejected: outliers stay outliers.
         """
         if not part.usable.any():
             return
@@ -176,7 +178,8 @@ class SeriesState:
         if outliers.any():
             std = robust_spread(residual, part.usable, quantum_rad_s)[1]
             outliers &= ~_rig_impulse_mask(series, samples, residual, outliers, values, std)
-        self.good[samples] = series.good[samples] & ~outliers
+        previous = self.good if keeps_rejected else series.good
+        self.good[samples] = previous[samples] & ~outliers
 
 
 def _rig_impulse_mask(

@@ -78,6 +78,7 @@ class SessionFit:
         self._cached_equations: CachedNormalEquations | None = None
         self._predicted_parts: dict[tuple[int, int], PredictedPart] = {}
         self._used_before: list[BoolArray] = []  # of the last prediction but one
+        self.keeps_rejected = False  # whether outliers stay outliers
         self.has_new_derivatives = True  # whether they belong to the current values
         self.equation_noise: NoiseModel | None = None  # of the last normal equations
         self._weights = MotionWeights()
@@ -286,7 +287,12 @@ class SessionFit:
                     part = part or self._predict_part(series_state.series, blocks, gain)
                     relative_std = self.relative_std(series_index, blocks)
                     series_state.reject_outliers(
-                        blocks, part, self._values(gain), relative_std, self.sampling.quantum_rad_s
+                        blocks,
+                        part,
+                        self._values(gain),
+                        relative_std,
+                        self.sampling.quantum_rad_s,
+                        self.keeps_rejected,
                     )
                     series_state.set_block_means(blocks, part)
         self._predicted_parts.clear()

@@ -113,7 +113,10 @@ class TrustRegionProblem(Protocol):
 
 
 def minimise(
-    problem: TrustRegionProblem, max_evaluations: int, trust_shrinkage: bool = True
+    problem: TrustRegionProblem,
+    max_evaluations: int,
+    trust_shrinkage: bool = True,
+    always_renew: bool = False,
 ) -> Convergence:
     """Iterate until the predicted decrease is negligible and the last step was accepted.
 
@@ -121,6 +124,7 @@ def minimise(
         problem: at its start values.
         max_evaluations: limit on the evaluations of the objective.
         trust_shrinkage: whether a step that shrank much is the last one, before it is small.
+        always_renew: compute new derivatives after each step, although the last ones may do.
     """
     shrinkage_limit = STEP_SHRINKAGE if trust_shrinkage else 0.0
     damping, previous_sigma, was_accepted = 0.0, np.inf, True
@@ -142,7 +146,7 @@ def minimise(
         was_accepted = ratio >= MIN_GAIN_RATIO
         if was_accepted:
             lost = max(0.0, lost - decrease)
-            problem.accept(new_derivatives=ratio < REFRESH_GAIN_RATIO)
+            problem.accept(new_derivatives=always_renew or ratio < REFRESH_GAIN_RATIO)
             previous_sigma = full.size_sigma if proposal is full else np.inf
             before, full = full.predicted_decrease, problem.propose(0.0)
             if max(before, full.predicted_decrease) < INSIGNIFICANT_NATS:

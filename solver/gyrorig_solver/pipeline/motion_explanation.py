@@ -60,6 +60,10 @@ def _convergence_remarks(fit_explanation: FitExplanation) -> list[str]:
         remarks.append(
             f"{without} {base.convergence.reason}, so its values are not a result".strip()
         )
+    if extended is not base and not extended.converged:
+        remarks.append(
+            f"with the causes, {extended.convergence.reason}, so its values are not a result"
+        )
     return remarks
 
 

@@ -20,6 +20,7 @@ from gyrorig_solver.estimate import (
     ConvergedFit,
     FittedTerm,
     GyroFit,
+    confirm_fit,
 )
 from gyrorig_solver.estimate.motion_fit import create_session, solve_motion, summarize_motion_fit
 from gyrorig_solver.model import LevelEstimate, RecordingContext
@@ -51,7 +52,7 @@ class PreparedBoard:
     def solve(self) -> ConvergedFit:
         """Fit the board without other boards."""
         pairs = [(samples, reference) for _, samples, reference in self.sessions]
-        return solve_motion(pairs, self.selection.extensions, self.contexts)
+        return confirm_fit(solve_motion(pairs, self.selection.extensions, self.contexts))
 
     def summarize(
         self,

@@ -2,7 +2,7 @@
 
 What to use when: `program_text` for a shipped program, by its name, or by its name and
 "-backwards" for checks of what must not depend on the order of things, or by several names
-joined by "+" for a long session.
+joined by "+" for a long session. Programs that only tests use stand beside this file.
 """
 
 from pathlib import Path
@@ -22,7 +22,8 @@ def program_text(name: str) -> bytes:
         steps = [step for document in documents for step in document["steps"]]
         return dump_yaml({**documents[0], "steps": steps}).encode()
     shipped = name.removesuffix(BACKWARDS)
-    text = (PROGRAMS / f"{shipped}.yaml").read_bytes()
+    test_program = Path(__file__).with_name(f"{shipped}.yaml")
+    text = (test_program if test_program.exists() else PROGRAMS / test_program.name).read_bytes()
     if shipped == name:
         return text
     document = parse_yaml(text, name)

@@ -4,13 +4,22 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
 import pytest
 
 from gyrorig_solver.discover import explain_fit, motion_space
 from gyrorig_solver.discover.cause_search import search_causes
 from gyrorig_solver.discover.model_evidence import best_model
 from gyrorig_solver.discover.motion_space import MotionFitSpace
-from gyrorig_solver.estimate import ConvergedFit, Convergence, FittedTerm, refit_with_terms
+from gyrorig_solver.estimate import (
+    ConvergedFit,
+    Convergence,
+    FittedTerm,
+    confirm_fit,
+    refit_with_terms,
+)
+from gyrorig_solver.estimate.board_fit import BoardFit
+from gyrorig_solver.estimate.likelihood_fit import CONFIRMED_NATS, CONFIRMED_SIGMA, LikelihoodFit
 from gyrorig_solver.pipeline.prepare_board import fit_base_model
 
 HIDDEN = "backlash@tilt:0.0015"
@@ -66,3 +75,23 @@ def test_a_cause_of_no_effect_does_not_lead(base: ConvergedFit, named: Converged
     same = replace(named, fitted_terms=(idle,), sessions=base.sessions, estimate=base.estimate)
     plain = MotionFitSpace(base)
     assert best_model(plain, [MotionFitSpace(same)]) is plain
+
+
+def test_a_fit_that_is_not_at_its_optimum_is_continued(named: ConvergedFit) -> None:
+    std = np.sqrt(np.diag(named.observability.covariance)[: named.estimate.size])
+    shifted = replace(named, estimate=named.estimate + 2.0 * std)
+    assert _next_nats(shifted) > 1.0
+    confirmed = confirm_fit(shifted)
+    assert confirmed.converged
+    assert _next_nats(confirmed) < CONFIRMED_NATS
+    assert np.abs((confirmed.estimate - named.estimate) / std).max() < CONFIRMED_SIGMA
+
+
+def test_a_fit_that_did_not_converge_is_not_confirmed(named: ConvergedFit) -> None:
+    assert not confirm_fit(replace(named, convergence=WITHOUT)).converged
+
+
+def _next_nats(solution: ConvergedFit) -> float:
+    """Return the predicted decrease of the next step, with new derivatives."""
+    board = BoardFit.resumed(solution, solution.fitted_terms)
+    return LikelihoodFit([board]).propose(0.0).predicted_decrease

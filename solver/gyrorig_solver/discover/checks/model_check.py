@@ -125,9 +125,9 @@ class JudgedModel(Generic[Space]):
         """
         dropped = [k for (k, _), out in zip(self.fitted_causes, removed, strict=True) if out]
         others = [term for k, term in enumerate(self.space.fitted_terms) if k not in dropped]
-        space = self.base if all(removed) else self.space.refit(others)
+        space = self.base if all(removed) else self.space.refit(others).confirm()
         if not space.convergence.converged:
-            space = self.base.refit(others)
+            space = self.base.refit(others).confirm()
         if not space.convergence.converged:
             space, removed = self.base, [True] * len(removed)
         ranked = zip(self.result.ranked_causes, removed, strict=True)
