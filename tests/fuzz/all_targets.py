@@ -9,13 +9,21 @@ from tests.fuzz import (
     can_targets,
     document_targets,
     file_targets,
+    import_targets,
     link_targets,
     service_targets,
 )
 
 TARGETS = {
     target.name: target
-    for module in (link_targets, can_targets, document_targets, file_targets, service_targets)
+    for module in (
+        link_targets,
+        can_targets,
+        document_targets,
+        file_targets,
+        import_targets,
+        service_targets,
+    )
     for target in module.TARGETS
 }
 FOUND = Path(__file__).with_name("found")

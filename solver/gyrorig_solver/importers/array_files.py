@@ -5,6 +5,7 @@ of the reader. Every size is checked before it is allocated, and links out of th
 are refused.
 """
 
+import functools
 import zlib
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -203,16 +204,15 @@ class _ParquetArrays:
     """Columns of a Parquet file; columns of lists of equal length are arrays."""
 
     def __init__(self, path: Path) -> None:
-        import duckdb  # noqa: PLC0415 - an extra
-
         self._path = path
         self._types: dict[str, str] = {}
-        with duckdb.connect(config=_DUCKDB_LIMITS) as database:
+        with _database().cursor() as database:
             rows = database.execute(
                 "SELECT name, column_type FROM (DESCRIBE SELECT * FROM read_parquet(?)) "
                 "AS columns(name, column_type, a, b, c, d)",
                 [_literal(path)],
             ).fetchall()
+            self._rows: int
             (self._rows,) = database.execute(
                 "SELECT count(*) FROM read_parquet(?)", [_literal(path)]
             ).fetchone() or (0,)
@@ -222,12 +222,10 @@ class _ParquetArrays:
         return list(self._types)
 
     def load(self, wanted: Sequence[str]) -> dict[str, FloatArray]:
-        import duckdb  # noqa: PLC0415 - an extra
-
         if 8 * self._rows * len(wanted) > MAX_ARRAY_BYTES:
             raise too_large(self._path)
         arrays = {}
-        with parsing_errors(self._path.name, _REMEDY), duckdb.connect(config=_DUCKDB_LIMITS) as db:
+        with parsing_errors(self._path.name, _REMEDY), _database().cursor() as db:
             for name in wanted:
                 quoted = '"' + name.replace('"', '""') + '"'
                 result = db.execute(
@@ -245,11 +243,14 @@ class _ParquetArrays:
         return arrays
 
 
-_DUCKDB_LIMITS: dict[str, str | bool | int | float | list[str]] = {
-    "memory_limit": "4GB",
-    "threads": 2,
-    "autoinstall_known_extensions": False,
-}
+@functools.cache
+def _database() -> Any:
+    """Return a database in memory with limits; a connection takes 50 ms to open."""
+    import duckdb  # noqa: PLC0415 - an extra
+
+    return duckdb.connect(
+        config={"memory_limit": "4GB", "threads": 2, "autoinstall_known_extensions": False}
+    )
 
 
 def _literal(path: Path) -> str:

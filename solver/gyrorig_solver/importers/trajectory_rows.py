@@ -36,6 +36,10 @@ def exact_stamps_ns(path: Path) -> IntArray:
             f"the first column of the table {path.name} does not contain whole nanoseconds",
             "give the file as it was published, or import it with a column map (--map)",
         ) from error
+    if not stamps.size:
+        raise InputError(
+            f"the table {path.name} has a header, but no rows", "give a file with measurements"
+        )
     return stamps
 
 

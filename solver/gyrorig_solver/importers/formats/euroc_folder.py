@@ -74,6 +74,11 @@ class EurocFolder:
         headers = {path: _header(tables[path]) for path in sensors}
         imus = [path for path in sensors if set(RATE) <= set(headers[path])]
         chosen = [path for path in imus if path.name in options.topics] or imus[:1]
+        if not chosen:
+            raise InputError(
+                f"{source.name} has no table with all columns of a gyroscope ({', '.join(RATE)})",
+                "give the files as they were published, or import with a column map (--map)",
+            )
         notes: list[str] = []
         if len(imus) > len(chosen):
             names = ", ".join(path.name for path in imus)

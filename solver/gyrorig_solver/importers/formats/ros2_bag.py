@@ -76,7 +76,7 @@ def _is_bag_file(path: Path) -> bool:
         return False
     try:
         return _sqlite_tables(path) >= {"messages", "topics"}
-    except sqlite3.Error:
+    except (sqlite3.Error, UnicodeDecodeError):  # an error can quote bytes of the file
         return False
 
 
@@ -95,6 +95,7 @@ def _is_own_recording(path: Path) -> bool:
 
 def _sqlite_tables(path: Path) -> set[str]:
     with closing(sqlite3.connect(f"{path.resolve().as_uri()}?immutable=1", uri=True)) as database:
+        database.text_factory = lambda name: name.decode("utf-8", errors="replace")
         rows = database.execute("SELECT name FROM sqlite_master WHERE type = 'table' LIMIT 100")
         return {str(name) for (name,) in rows}
 
