@@ -32,6 +32,7 @@ from gyrorig_solver.importers.measured_streams import (
     MeasuredStreams,
     PoseStream,
 )
+from gyrorig_solver.importers.plausible_rates import rate_warnings
 from gyrorig_solver.importers.sample_encoding import ImuStream, encode_samples
 
 NS = 1_000_000_000
@@ -105,6 +106,9 @@ def write_streams(
     lowest_ns = min(int(sample_ns.min()), *starts, *poses_ns[:1].tolist())
     notes = [*streams.notes, *(note for imu in encoded.values() for note in imu.notes)]
     notes += pose_notes
+    for board in boards:
+        if board.gyro is not None:
+            notes += rate_warnings(board.gyro, streams.poses, board.name)
     shift_ns = NS * -int(min(0, lowest_ns) // NS)
     if shift_ns:
         notes.append(f"all times are shifted by {shift_ns // NS} s, so that none is below 0")

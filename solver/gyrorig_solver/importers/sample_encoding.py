@@ -179,6 +179,7 @@ def _int32_counts(counts: FloatArray, quantity: str) -> IntArray:
         raise InputError(
             f"the {quantity} value of sample {at + 1} is too large for any sensor, so its unit of "
             "measure is probably wrong",
-            f"correct `unit` under `{quantity}` in the import map",
+            f"correct `unit` under `{quantity}` in the import map, or the program that wrote "
+            "the file",
         )
     return np.asarray(whole, dtype=np.int64)

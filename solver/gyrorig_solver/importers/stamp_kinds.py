@@ -13,7 +13,7 @@ from gyrorig_solver.importers.measured_streams import StampKind
 # by tens of microseconds at least.
 MAX_SAMPLED_SPREAD = 0.02  # of the median step
 EQUAL_NS = 1000  # stamps this close to the time of the log are the time of the log
-GAP_STEPS = 1.5  # a longer step, in median steps, is a gap
+GAP_STEPS = 1.25  # at a longer step, in periods, a sample can be missing
 NEIGHBOURS = 50  # samples before and after a gap, whose earliest arrivals are compared
 
 
@@ -56,11 +56,11 @@ def count_rows(arrival_s: FloatArray) -> IntArray:
     """
     count = arrival_s.size
     rows = np.arange(count, dtype=np.int64)
-    if count < 2 * NEIGHBOURS:
+    if count < 4 * NEIGHBOURS:
         return rows
-    period_s = float(np.median(np.diff(arrival_s)))
-    if period_s <= 0.0:  # bursts: no step is a period
-        return rows
+    # over many samples jitter has little weight, and few of the stretches lose samples
+    span = 2 * NEIGHBOURS
+    period_s = float(np.median((arrival_s[span:] - arrival_s[:-span]) / span))
     for gap in np.flatnonzero(np.diff(arrival_s) > GAP_STEPS * period_s).tolist():
         before = slice(max(0, gap + 1 - NEIGHBOURS), gap + 1)
         after = slice(gap + 1, gap + 1 + NEIGHBOURS)

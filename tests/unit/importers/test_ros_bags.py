@@ -2,12 +2,13 @@
 
 import shutil
 import sqlite3
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from tests.support.foreign_files import START_NS, write_ros1_bag, write_ros2_bag
-from tests.support.simulated_attitudes import SimulatedAttitudes, simulate_attitudes
+from tests.support.simulated_attitudes import HandMotion, SimulatedAttitudes, simulate_attitudes
 from tests.support.solved_truth import check_solved
 
 from gyrorig_protocol.errors import InputError, UsageError
@@ -15,6 +16,9 @@ from gyrorig_protocol.recording.reader import read_recording
 from gyrorig_solver import cli
 from gyrorig_solver.data.samples import load_samples
 from gyrorig_solver.importers import ImportOptions, find_format, import_files
+from gyrorig_solver.importers.measured_streams import GyroStream
+from gyrorig_solver.importers.plausible_rates import rate_warnings
+from gyrorig_solver.importers.stamp_kinds import count_rows
 
 
 @pytest.fixture(scope="module")
@@ -140,3 +144,26 @@ def test_a_recording_of_this_project_needs_no_import(
     own = import_files([bag], tmp_path / "own.mcap").path
     with pytest.raises(InputError, match="is already a recording"):
         find_format(own)
+
+
+def test_rates_in_degrees_are_noticed(tmp_path: Path) -> None:
+    """The definition of the message requires rad/s; a driver that writes deg/s is 57 times off."""
+    short = simulate_attitudes(2, span_s=5.0, motion=HandMotion(2, speed=0.3))
+    wrong = replace(short, gyro_rad_s=np.degrees(short.gyro_rad_s))
+    summary = import_files([write_ros2_bag(tmp_path / "bag", wrong)], tmp_path / "out.mcap")
+    (warning,) = [note for note in summary.notes if "times as fast as the reference" in note]
+    assert "probably writes deg/s although rad/s is stated" in warning
+    fast = GyroStream(short.gyro_time_s, np.full((1000, 3), 100.0))
+    assert "more than gyros measure" in rate_warnings(fast, None, "B1")[0]
+    right = import_files([write_ros2_bag(tmp_path / "ok", short)], tmp_path / "ok.mcap")
+    assert not any("probably" in note for note in right.notes)
+
+
+def test_lost_samples_are_counted_by_arrival_times() -> None:
+    """Delays of up to three periods are no losses; lost samples keep all later ones late."""
+    rng = np.random.default_rng(5)
+    lost = {400, 401, 900}
+    number = np.array([k for k in range(1500) if k not in lost])
+    arrival_s = 0.005 * number + np.abs(0.001 * rng.normal(size=number.size))
+    arrival_s[200:203] += 0.012
+    assert np.array_equal(count_rows(np.maximum.accumulate(arrival_s)), number)

@@ -1,7 +1,6 @@
 """ROS 2 bags: a folder, or a single file of MCAP or SQLite."""
 
 import sqlite3
-import struct
 from collections.abc import Iterator
 from contextlib import closing
 from dataclasses import dataclass
@@ -28,7 +27,8 @@ from gyrorig_solver.importers.ros_streams import READ_TYPES, RosMessage, read_ro
 
 SQLITE_MAGIC = b"SQLite format 3\0"
 _METADATA = "metadata.yaml"
-_OWN_TYPES = "gyrorig_msgs/"  # a recording of this project, which is no foreign bag
+_OWN_TYPES = b"gyrorig_msgs/msg/"  # a recording of this project, which is no foreign bag
+SUMMARY_BYTES = 4_000_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,16 +81,10 @@ def _is_bag_file(path: Path) -> bool:
 
 
 def _is_own_recording(path: Path) -> bool:
-    from mcap.exceptions import McapError  # noqa: PLC0415 - slow to load
-    from mcap.reader import SeekingReader  # noqa: PLC0415
-
-    try:
-        with path.open("rb") as file:
-            summary = SeekingReader(file, record_size_limit=MAX_CHUNK_BYTES).get_summary()
-    except (McapError, ValueError, KeyError, EOFError, OSError, struct.error):
-        return False
-    schemas = summary.schemas.values() if summary is not None else ()
-    return any(schema.name.startswith(_OWN_TYPES) for schema in schemas)
+    """Return whether the end of an MCAP file, where its summary is, names our own types."""
+    with path.open("rb") as file:
+        file.seek(max(0, path.stat().st_size - SUMMARY_BYTES))
+        return _OWN_TYPES in file.read(SUMMARY_BYTES)
 
 
 def _sqlite_tables(path: Path) -> set[str]:
