@@ -17,7 +17,7 @@ import pytest
 
 from gyrorig_daemon.links.ports.acquisition_hub import AcquisitionHub, PortSettings
 from gyrorig_daemon.links.pump import Pump
-from gyrorig_daemon.motion import PtuClient
+from gyrorig_daemon.motion.directed_perception.ptu_client import PtuClient
 from gyrorig_protocol.errors import GyrorigError
 from gyrorig_protocol.ptu import Axis, Quantity, query_quantity, require_integer
 from gyrorig_protocol.recording.reader import read_recording

@@ -42,6 +42,7 @@ Baud = Literal[
     921600, 1000000, 2000000,
 ]  # fmt: skip
 PortPath = Annotated[str, msgspec.Meta(max_length=200, pattern=r"^[^\x00-\x1f\x7f]+$")]
+DriverName = Annotated[str, msgspec.Meta(pattern=r"^[a-z][a-z0-9_]{0,31}$")]
 Latitude = Annotated[float, msgspec.Meta(ge=-90.0, le=90.0)]
 Heading = Annotated[float, msgspec.Meta(ge=-360.0, le=360.0)]
 
@@ -76,9 +77,10 @@ class Polling(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class PtuPort(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """The pan-tilt unit: its port, its dialect and the signs of its axes."""
+    """The pan-tilt unit: its port, its driver, its dialect and the signs of its axes."""
 
     port: PortPath
+    driver: DriverName = "directed_perception"
     baud: Baud = 9600
     dialect: Literal["auto", "d46", "e46"] = "auto"
     serial: Annotated[str, msgspec.Meta(min_length=1, max_length=64)] | None = None  # no other

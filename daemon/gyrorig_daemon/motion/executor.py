@@ -10,13 +10,12 @@ from dataclasses import dataclass
 
 from gyrorig_daemon.links.pump import Pump
 from gyrorig_daemon.motion.motion_plan import PlannedMove, PlannedRest, PlannedStep
+from gyrorig_daemon.motion.pan_tilt_driver import AxisTarget, PanTiltDriver
 from gyrorig_daemon.motion.position_poller import PositionPoller
-from gyrorig_daemon.motion.ptu_client import PtuClient
 from gyrorig_daemon.motion.ptu_exchange import Position
-from gyrorig_daemon.motion.unit_setup import Unit
+from gyrorig_daemon.motion.unit import Unit
 from gyrorig_protocol.errors import DeviceError
-from gyrorig_protocol.ptu import Axis, Quantity, assign_quantity
-from gyrorig_protocol.ptu.ptu_commands import HALT_BOTH_AXES, IMMEDIATE_EXECUTION, SLAVED_EXECUTION
+from gyrorig_protocol.ptu import Axis
 
 TIMEOUT_FACTOR = 1.5
 TIMEOUT_MARGIN_S = 5.0
@@ -41,10 +40,10 @@ class Executor:
 
     def __init__(self, pump: Pump, unit: Unit, poller: PositionPoller, phases: PhaseSink) -> None:
         self._pump = pump
-        self._client = unit.client
+        self._driver = unit.driver
         self._poller = poller
         self._phases = phases
-        self._path_monitor = PathMonitor(unit.client)
+        self._path_monitor = PathMonitor(unit.driver)
         self._positions_steps: dict[Axis, int] = {}  # last target that each axis has reached
 
     def run(self, steps: Sequence[PlannedStep], progress: Callable[[int], None]) -> None:
@@ -70,18 +69,11 @@ class Executor:
         self._phases.end("program", "")
 
     def _move(self, step: PlannedMove) -> None:
-        client = self._client
         targets = {part.axis: part.target_steps for part in step.axes}
         self._path_monitor.expect(self._positions_steps, targets)
-        for part in step.axes:
-            client.send_command(assign_quantity(part.axis, Quantity.SPEED, part.speed_steps_s))
-        together = len(step.axes) > 1
-        if together:
-            client.send_command(SLAVED_EXECUTION)  # the unit starts both axes at the next IMMEDIATE
-        for part in step.axes:
-            client.send_command(assign_quantity(part.axis, Quantity.POSITION, part.target_steps))
-        if together:
-            client.send_command(IMMEDIATE_EXECUTION)
+        self._driver.start_move(
+            [AxisTarget(part.axis, part.target_steps, part.speed_steps_s) for part in step.axes]
+        )
         self._wait_for_arrival(step, targets)
         self._positions_steps |= targets
         self._path_monitor.expect(self._positions_steps, {})
@@ -127,9 +119,9 @@ class PathMonitor:
     jumped, or another device answers.
     """
 
-    def __init__(self, client: PtuClient) -> None:
-        """Check nothing yet; implausible replies are counted in `client`."""
-        self._client = client
+    def __init__(self, driver: PanTiltDriver) -> None:
+        """Check nothing yet; implausible replies are counted in `driver`."""
+        self._driver = driver
         self._allowed_steps: dict[Axis, Span] = {}
         self._implausible_count = 0
 
@@ -163,7 +155,7 @@ class PathMonitor:
             if low - MARGIN_STEPS <= steps <= high + MARGIN_STEPS:
                 continue
             self._implausible_count += 1
-            self._client.counts.implausible += 1
+            self._driver.counts.implausible += 1
             if self._implausible_count >= MAX_IMPLAUSIBLE:
                 raise DeviceError(
                     f"the pan-tilt unit reports the {axis.label} position {steps} steps, but "
@@ -182,8 +174,7 @@ def halt_and_confirm(pump: Pump, unit: Unit, poller: PositionPoller) -> None:
     Raises:
         DeviceError: the unit does not acknowledge, or keeps moving.
     """
-    client = unit.client
-    client.halt()
+    unit.driver.halt()
     end_ns = pump.now_ns() + int(HALT_TIMEOUT_S * 1e9)
     still_since_ns: int | None = None
     last_steps: tuple[int, int] | None = None
@@ -204,7 +195,7 @@ def halt_and_confirm(pump: Pump, unit: Unit, poller: PositionPoller) -> None:
             )
         ):
             return
-    client.send_command(HALT_BOTH_AXES)
+    unit.driver.halt()
     raise DeviceError(
         "the pan-tilt unit acknowledged the halt command, but it still moves",
         "switch off the power of the unit",

@@ -69,6 +69,9 @@ def plan_program(
         for axis, angle_deg, speed_deg_s in _axis_targets(
             move, program.settings.default_speed_deg_s
         ):
+            if axis not in facts.axes:
+                _check_fixed_axis(axis, angle_deg, step_name)
+                continue
             axis_facts = facts.axis(axis)
             target = _target_steps(axis, axis_facts, limits, angle_deg, step_name)
             speed = _speed_steps_s(axis, axis_facts, limits, speed_deg_s, step_name)
@@ -150,6 +153,15 @@ def _target_steps(
             "change the motion program, or the limits in the rig file",
         )
     return target_steps
+
+
+def _check_fixed_axis(axis: Axis, angle_deg: float, step_name: str) -> None:
+    if angle_deg != 0.0:
+        raise UsageError(
+            f"{step_name} turns the {axis.label} axis to {angle_deg:g} deg, but the unit has no "
+            f"{axis.label} axis",
+            "use a motion program that turns only the axes of the unit",
+        )
 
 
 def _speed_steps_s(

@@ -1,25 +1,16 @@
-"""Position polls: BT if the dialect has it, otherwise PP and TP in turn.
+"""Position polls of any unit: what the last answers say, and when the unit is gone.
 
-The unit reads its position between the arrival of the command's last byte and the first byte
-of the reply. The recorder decides which moment in between is used.
+The driver knows which request it sends. The recorder decides which moment in the interval of a
+poll is used.
 """
 
 from collections.abc import Callable, Mapping
 
-from gyrorig_daemon.motion.ptu_client import PtuClient
-from gyrorig_daemon.motion.ptu_exchange import Exchange, Position
-from gyrorig_daemon.motion.unit_setup import Unit
+from gyrorig_daemon.motion.pan_tilt_driver import Poll, no_answer_error, unidentified_error
+from gyrorig_daemon.motion.ptu_exchange import Position
+from gyrorig_daemon.motion.unit import Unit
 from gyrorig_protocol.errors import DeviceError
-from gyrorig_protocol.ptu import (
-    Axis,
-    MotionReading,
-    PtuCommand,
-    Quantity,
-    dialect_features,
-    query_quantity,
-    read_value,
-)
-from gyrorig_protocol.ptu.ptu_commands import QUERY_MOTION_AND_COUNTER
+from gyrorig_protocol.ptu import Axis
 
 # The unit is gone after so many consecutive polls without a reply, or after this time and at
 # least two polls.
@@ -40,13 +31,12 @@ class PositionPoller:
             rate_hz: polls per second; None for the vendor's limit of the dialect.
             on_position: called with every position.
         """
-        self._client: PtuClient = unit.client
-        self._uses_motion = dialect_features(unit.facts.dialect).motion_with_counter
+        self._driver = unit.driver
         self._on_position = on_position
         if rate_hz is not None:
-            self._client.min_interval_s = 1.0 / rate_hz
-        self._next_axis = Axis.PAN
+            self._driver.set_poll_rate(rate_hz)
         self._steps: dict[Axis, int] = {}
+        self._forget_steps()
         self._previous_steps: dict[Axis, int] = {}
         self._is_still: bool | None = None
         self._unanswered_polls = 0
@@ -58,7 +48,7 @@ class PositionPoller:
         Raises:
             DeviceError: the unit does not answer.
         """
-        self._steps.clear()
+        self._forget_steps()
         while len(self._steps) < len(Axis):
             self.poll()
         return dict(self._steps)
@@ -72,23 +62,23 @@ class PositionPoller:
         Raises:
             DeviceError: synchrony is lost, or the unit is silent or was disconnected.
         """
-        command = self._command()
-        exchange = self._client.exchange(command, is_poll=True)
-        position = self._parse_position(command, exchange) if exchange.command == command else None
+        poll = self._driver.poll()
+        exchange = poll.exchange
+        position = self._make_position(poll)
         if position is not None:
             self._unanswered_polls, self._last_answer_ns = 0, exchange.reply_ns
             self._on_position(position)
         else:
             self._unanswered_polls += 1
-        if checked and not self._client.is_identified:
-            raise self._client.unidentified_error()
-        if checked and self._client.lost_synchrony is not None:
+        if checked and not self._driver.is_identified:
+            raise unidentified_error(self._driver.location)
+        if checked and self._driver.lost_synchrony is not None:
             raise DeviceError(
-                f"the pan-tilt unit no longer knows its position: {self._client.lost_synchrony}",
+                f"the pan-tilt unit no longer knows its position: {self._driver.lost_synchrony}",
                 "remove all objects from the unit's range of motion, then start again with --home",
             )
         if self._is_silent(exchange.reply_ns):
-            raise self._client.no_answer_error(command)
+            raise no_answer_error(self._driver.location, poll.request)
         return position
 
     def is_at(self, targets: Mapping[Axis, int]) -> bool:
@@ -98,46 +88,31 @@ class PositionPoller:
                 return False
         return self._is_still in (None, True)
 
-    def _command(self) -> PtuCommand:
-        if self._uses_motion:
-            return QUERY_MOTION_AND_COUNTER
-        axis = self._next_axis
-        self._next_axis = Axis.TILT if axis is Axis.PAN else Axis.PAN
-        return query_quantity(axis, Quantity.POSITION)
-
-    def _parse_position(self, command: PtuCommand, exchange: Exchange) -> Position | None:
-        if exchange.reply is None:
+    def _make_position(self, poll: Poll) -> Position | None:
+        if not poll.steps:
             return None
-        value = read_value(command, exchange.reply)
-        counter: int | None = None
-        if isinstance(value, MotionReading):
-            self._store_steps(Axis.PAN, value.pan_steps)
-            self._store_steps(Axis.TILT, value.tilt_steps)
-            self._is_still = value.pan_speed_steps_s == 0 and value.tilt_speed_steps_s == 0
-            counter = value.counter
-            answered_axes = {Axis.PAN, Axis.TILT}
-        elif isinstance(value, int):
-            axis = Axis(command.text[0])
-            self._store_steps(axis, value)
-            answered_axes = {axis}
-        else:
-            return None
+        for axis, steps in poll.steps.items():
+            self._store_steps(axis, steps)
+        self._is_still = poll.is_still
         if len(self._steps) < len(Axis):
             return None  # the position of the other axis is not known yet
-        earliest_ns, latest_ns = self._interval_ns(command, exchange)
         return Position(
-            exchange=exchange,
+            exchange=poll.exchange,
             pan_steps=self._steps[Axis.PAN],
             tilt_steps=self._steps[Axis.TILT],
-            has_pan=Axis.PAN in answered_axes,
-            has_tilt=Axis.TILT in answered_axes,
-            is_still=self._is_still,
-            counter=counter,
-            earliest_ns=earliest_ns,
-            latest_ns=latest_ns,
-            synchrony_lost=self._client.lost_synchrony is not None
-            or not self._client.is_identified,
+            has_pan=Axis.PAN in poll.steps,
+            has_tilt=Axis.TILT in poll.steps,
+            is_still=poll.is_still,
+            counter=poll.counter,
+            earliest_ns=poll.earliest_ns,
+            latest_ns=poll.latest_ns,
+            synchrony_lost=self._driver.lost_synchrony is not None
+            or not self._driver.is_identified,
         )
+
+    def _forget_steps(self) -> None:
+        """Forget all positions; an axis that the unit does not have stays at 0."""
+        self._steps = {axis: 0 for axis in Axis if axis not in self._driver.axes}
 
     def _is_silent(self, now_ns: int) -> bool:
         if self._unanswered_polls >= MAX_UNANSWERED_POLLS:
@@ -149,12 +124,3 @@ class PositionPoller:
         if axis in self._steps:
             self._previous_steps[axis] = self._steps[axis]
         self._steps[axis] = steps
-
-    def _interval_ns(self, command: PtuCommand, exchange: Exchange) -> tuple[int, int]:
-        """Return the interval in which the unit read its position."""
-        wire_ns = self._client.wire_ns
-        earliest_ns = exchange.request_ns + wire_ns(len(command.encode()))
-        latest_ns = exchange.first_byte_ns - wire_ns(1)
-        if latest_ns < earliest_ns:  # USB can be faster than the nominal baud rate
-            return exchange.request_ns, exchange.first_byte_ns
-        return earliest_ns, latest_ns

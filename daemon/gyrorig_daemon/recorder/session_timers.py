@@ -7,7 +7,7 @@ from dataclasses import fields
 from gyrorig_daemon.clocks import ClockReport, OnlineClock
 from gyrorig_daemon.clocks.capture_clock import CaptureClock, HostClocks
 from gyrorig_daemon.links.boards.board_link import BoardLink
-from gyrorig_daemon.motion import PtuClient
+from gyrorig_daemon.motion import PanTiltDriver
 from gyrorig_daemon.recorder.recorder import Recorder
 from gyrorig_protocol.recording.clock_messages import HOST_CLOCK_TOPIC, HostClock
 from gyrorig_protocol.recording.messages import DIAGNOSTICS_TOPIC
@@ -83,7 +83,7 @@ class DiagnosticsTimer:
         capture: CaptureClock,
         start_ns: int,
         *,
-        client: PtuClient,
+        driver: PanTiltDriver,
         controller_clock: Callable[[], OnlineClock | None],
         boards: Sequence[BoardLink],
         dropped_bytes: Callable[[], int],
@@ -91,7 +91,7 @@ class DiagnosticsTimer:
         """Start at the begin of a session; earlier counts are subtracted."""
         self._recorder = recorder
         self._capture = capture
-        self._client = client
+        self._driver = driver
         self._controller_clock = controller_clock
         self._boards = boards
         self._dropped_bytes = dropped_bytes
@@ -139,10 +139,10 @@ class DiagnosticsTimer:
         return DiagnosticStatus(level, "recorder", text, values=_as_text(values))
 
     def _ptu_status(self) -> DiagnosticStatus:
-        counts = self._client.counts
+        counts = self._driver.counts
         names = [field.name for field in fields(counts) if field.name not in _NOT_COUNTERS]
         values = self._growth("ptu", {name: getattr(counts, name) for name in names})
-        lost_synchrony = self._client.lost_synchrony
+        lost_synchrony = self._driver.lost_synchrony
         level, text = DiagnosticLevel.OK, "answers"
         if values["timeouts"] + values["garbled"] + values["frame_errors"] + values["hung_up"]:
             level, text = DiagnosticLevel.WARN, "some answers were lost or garbled"
@@ -155,7 +155,7 @@ class DiagnosticsTimer:
             "reply_wait_max_ms": f"{counts.reply_wait_max_ns * 1e-6:.3f}",
             "poll_wait_max_ms": f"{counts.poll_wait_max_ns * 1e-6:.3f}",
         }
-        return DiagnosticStatus(level, "ptu", text, self._client.location, texts)
+        return DiagnosticStatus(level, "ptu", text, self._driver.location, texts)
 
     def _board_status(self, board: BoardLink) -> DiagnosticStatus:
         name, faults = f"board/{board.board_id}", board.faults()

@@ -208,8 +208,8 @@ class ServiceLoop:
         self._pump.ignore_stop()
         try:
             send_initial_halt(self._rig)
-            if self._rig.client.is_identified and not self._rig.client.is_port_gone:
-                self._rig.client.halt()
+            if self._rig.driver.is_identified and not self._rig.driver.is_port_gone:
+                self._rig.driver.halt()
         except DeviceError as error:
             self.unit_monitor.mark_lost(UnitPresence.SILENT, error.problem)
         self._pump.obey_stop()

@@ -197,7 +197,7 @@ class SessionRunner:
         """End a session that has not reached its motion; decide whether it is tried again."""
         problems = self._end_early(session, fault.problem)
         can_retry = is_scheduled and not isinstance(fault, UsageError)
-        can_retry = can_retry or (isinstance(fault, DeviceError) and self._rig.client.is_port_gone)
+        can_retry = can_retry or (isinstance(fault, DeviceError) and self._rig.driver.is_port_gone)
         if can_retry and session.recorder.path is None:
             return SessionOutcome("waits", fault.problem, None)
         return SessionOutcome("failed", _join(str(fault), *problems), session.recorder.path)

@@ -112,8 +112,8 @@ class StatusPublisher:
         return document
 
     def _unit(self) -> dict[str, Any]:
-        client, monitor = self._rig.client, self._unit_monitor
-        counts = client.counts
+        driver, monitor = self._rig.driver, self._unit_monitor
+        counts = driver.counts
         line_counts = asdict(counts)
         reply_wait_max_ns = line_counts.pop("reply_wait_max_ns")
         poll_wait_max_ns = line_counts.pop("poll_wait_max_ns")
@@ -123,7 +123,7 @@ class StatusPublisher:
         return {
             "state": monitor.state.name.lower(),
             "text": monitor.reason or monitor.state.value,
-            "port": client.location,
+            "port": driver.location,
             "steps_are_sure": self._context.persistent.steps_are_sure,
             "pan_deg": angles_deg[0],
             "tilt_deg": angles_deg[1],

@@ -10,13 +10,12 @@ from enum import Enum
 
 from gyrorig_daemon.config import PTU_PORT
 from gyrorig_daemon.links.pump import Pump
-from gyrorig_daemon.motion import PtuClient, UnitFacts, identify_unit
+from gyrorig_daemon.motion import PanTiltDriver, UnitFacts
 from gyrorig_daemon.service.persistent_state import PersistentState
 from gyrorig_daemon.service.service_context import ServiceCounts
 from gyrorig_daemon.session.connected_rig import Rig
 from gyrorig_protocol.errors import DeviceError
-from gyrorig_protocol.ptu import Axis, Quantity, query_quantity, read_value
-from gyrorig_protocol.ptu.ptu_commands import HALT_BOTH_AXES
+from gyrorig_protocol.ptu import Axis
 
 IDENTIFY_RETRY_S = 2.0
 POLL_PERIOD_S = 2.0
@@ -39,7 +38,7 @@ def send_initial_halt(rig: Rig) -> None:
     """
     if rig.pump.is_up(PTU_PORT):
         try:
-            rig.pump.write(PTU_PORT, b"   " + HALT_BOTH_AXES.encode())
+            rig.pump.write(PTU_PORT, rig.driver.halt_bytes)
         except DeviceError:
             return  # the unit is polled as soon as the port is back
 
@@ -53,7 +52,7 @@ class UnitMonitor:
         self._persistent = persistent
         self._counts = counts
         self._pump: Pump = rig.pump
-        self._client: PtuClient = rig.client
+        self._driver: PanTiltDriver = rig.driver
         self._rng = random.Random(seed)  # noqa: S311 - moments, not secrets
         self.state = UnitPresence.ABSENT
         self.reason = ""
@@ -61,7 +60,6 @@ class UnitMonitor:
         self._failed_identifications = 0
         self._facts: UnitFacts | None = None
         self._steps: dict[Axis, int] = {}
-        self._next_axis = Axis.PAN
         self._due_ns = rig.pump.now_ns()
 
     @property
@@ -71,21 +69,21 @@ class UnitMonitor:
         A unit reports its step size in a session. A unit that was disconnected can be another one.
         """
         facts = self._facts
-        if facts is None or len(self._steps) < len(Axis):
+        if facts is None or not all(axis in self._steps for axis in facts.axes):
             return None
         return (
-            facts.pan.to_rad(self._steps[Axis.PAN]),
-            facts.tilt.to_rad(self._steps[Axis.TILT]),
+            facts.pan.to_rad(self._steps.get(Axis.PAN, 0)),
+            facts.tilt.to_rad(self._steps.get(Axis.TILT, 0)),
         )
 
     def poll(self) -> UnitPresence:
         """Poll or identify the unit, if that is due."""
-        if not self._pump.is_up(PTU_PORT) or self._client.is_port_gone:
+        if not self._pump.is_up(PTU_PORT) or self._driver.is_port_gone:
             if self.state is not UnitPresence.ABSENT:
                 self.mark_lost(UnitPresence.ABSENT, "its port was disconnected")
             if not self._pump.is_up(PTU_PORT):
                 return self.state
-        if self.state is UnitPresence.STANDS and not self._client.is_identified:
+        if self.state is UnitPresence.STANDS and not self._driver.is_identified:
             self.mark_lost(UnitPresence.SILENT, "its port was disconnected for a moment")
         if self._pump.now_ns() < self._due_ns:
             return self.state
@@ -107,8 +105,7 @@ class UnitMonitor:
 
     def begin_session(self) -> None:
         """Reset the synchrony flags, so that the session detects losses itself."""
-        self._client.lost_synchrony = None
-        self._client.expects_banner = True
+        self._driver.begin_session()
 
     def end_session(self, was_homed: bool, facts: UnitFacts | None) -> None:
         """Take over what a session has learnt about the unit.
@@ -126,26 +123,21 @@ class UnitMonitor:
         self._due_ns = self._pump.now_ns()
 
     def _poll_position(self) -> None:
-        axis = self._next_axis
-        self._next_axis = Axis.TILT if axis is Axis.PAN else Axis.PAN
-        question = query_quantity(axis, Quantity.POSITION)
         try:
-            exchange = self._client.exchange(question, is_poll=True)
+            poll = self._driver.poll()
         except DeviceError as error:
             self.mark_lost(UnitPresence.ABSENT, error.problem)
             return
-        if exchange.reply is not None and exchange.command == question:
-            steps = read_value(question, exchange.reply)
-            if isinstance(steps, int):
-                self._steps[axis] = steps
-        self._unanswered_polls = 0 if exchange.reply is not None else self._unanswered_polls + 1
+        self._steps.update(poll.steps)
+        has_reply = poll.exchange.reply is not None
+        self._unanswered_polls = 0 if has_reply else self._unanswered_polls + 1
         self._check_synchrony()
         if self._unanswered_polls >= SILENT_POLL_LIMIT:
             self.mark_lost(UnitPresence.SILENT, "it no longer answers")
 
     def _identify(self) -> None:
         try:
-            identify_unit(self._client)
+            self._driver.identify()
         except DeviceError as error:
             self.state = UnitPresence.SILENT if self._pump.is_up(PTU_PORT) else UnitPresence.ABSENT
             self.reason = error.problem
@@ -162,6 +154,6 @@ class UnitMonitor:
         self._unanswered_polls = self._failed_identifications = 0
 
     def _check_synchrony(self) -> None:
-        if self._client.lost_synchrony is not None:
+        if self._driver.lost_synchrony is not None:
             self._persistent.steps_are_sure = False
-            self._client.lost_synchrony = None
+            self._driver.forget_losses()

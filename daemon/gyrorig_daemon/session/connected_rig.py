@@ -1,4 +1,4 @@
-"""The connected rig: event loop, client of the pan-tilt unit, links of the boards.
+"""The connected rig: event loop, driver of the motion unit, links of the boards.
 
 What to use when: `Rig` once per opened hub. It is kept for several sessions. A session
 registers as `listener` while it lasts; without a listener, messages are counted by the links
@@ -15,7 +15,7 @@ from gyrorig_daemon.links.boards.sample_stream import BoardSinks
 from gyrorig_daemon.links.ports.port_hub import PortHub
 from gyrorig_daemon.links.pump import Pump, StopFlag
 from gyrorig_daemon.live import NO_VIEW, LiveView
-from gyrorig_daemon.motion import Exchange, PtuClient
+from gyrorig_daemon.motion import DriverPort, Exchange, PanTiltDriver, find_driver
 from gyrorig_protocol.identity import BoardId
 from gyrorig_protocol.recording.clock_messages import ClockPing, clock_ping_topic
 from gyrorig_protocol.recording.messages import ImuRaw, imu_raw_topic
@@ -77,13 +77,9 @@ class Rig:
         self.pump.on_stall = self._report_stall
         self.listener: RigListener | None = None
         self.view = view
-        self.client = PtuClient(
-            self.pump,
-            PTU_PORT,
-            location=(paths or {}).get(PTU_PORT, config.ptu.port),
-            baud=config.ptu.baud,
-            on_exchange=self._handle_exchange,
-            timeout_s=config.ptu.poll.timeout_s,
+        location = (paths or {}).get(PTU_PORT, config.ptu.port)
+        self.driver: PanTiltDriver = find_driver(config.ptu.driver).make(
+            DriverPort(self.pump, location, config.ptu, self._handle_exchange)
         )
         sinks = BoardSinks(self._handle_sample, self._handle_ping, self._note, self._fault)
         self.boards = make_board_links(self.pump, config, capture, sinks, seed)

@@ -27,7 +27,6 @@ from gyrorig_daemon.motion import (
     Unit,
     UnitFacts,
     halt_and_confirm,
-    identify_unit,
     open_unit,
     plan_duration_s,
     plan_program,
@@ -125,7 +124,7 @@ class Session:
         self._topics: dict[BoardId, str] = {}
         self._sample_counts: Counter[BoardId] = Counter()
         self._pump = rig.pump
-        self._client = rig.client
+        self._driver = rig.driver
         new_recorder = environment.new_recorder or (lambda: Recorder(environment.threaded_writer))
         self.recorder = new_recorder()
         self._log = PtuLog(self.recorder, rig.capture)
@@ -142,7 +141,7 @@ class Session:
         """Identify unit and boards, check the program, open the recording."""
         request = self._request
         check_folder(request.out_dir)
-        version = identify_unit(self._client)  # first: the unit may still be turning
+        self._driver.identify()  # first: the unit may still be turning
         for board in self.boards:
             board.identify()
         ptu, settings = request.config.ptu, request.program.settings
@@ -151,7 +150,7 @@ class Session:
             homing = Homing.ALWAYS
         elif ptu.home_without_asking:
             homing = Homing.IF_NEEDED
-        unit = open_unit(self._client, ptu, settings, version, homing)
+        unit = open_unit(self._driver, settings, homing)
         self._unit = unit
         self._log.set_unit(unit.facts)
         poller = PositionPoller(unit, ptu.poll.rate_hz, self._log.record_position)
@@ -227,7 +226,7 @@ class Session:
         except MachineError:
             self.recorder.mute()
         self._phases.clear()
-        is_our_unit = self._client.is_identified or self._unit is not None
+        is_our_unit = self._driver.is_identified or self._unit is not None
         return [self._halt()] if is_our_unit and can_halt else []
 
     def close_partial(self) -> list[str]:
@@ -306,7 +305,7 @@ class Session:
             if self._unit is not None and self._poller is not None:
                 halt_and_confirm(self._pump, self._unit, self._poller)
             else:
-                self._client.halt()
+                self._driver.halt()
         except GyrorigError as fault:
             return f"the halt of the unit was not confirmed ({fault.problem})"
         return "the unit is halted"
@@ -351,7 +350,7 @@ class Session:
                 recorder,
                 capture,
                 now_ns,
-                client=self._client,
+                driver=self._driver,
                 controller_clock=lambda: self._log.controller_clock,
                 boards=self.boards,
                 dropped_bytes=environment.dropped_bytes,

@@ -9,15 +9,10 @@ import pytest
 from gyrorig_daemon.config import PTU_PORT, PtuPort
 from gyrorig_daemon.links.ports.port_hub import Chunk, PortChange, WriteTimes
 from gyrorig_daemon.links.pump import Pump, StopFlag, StopRequestedError
-from gyrorig_daemon.motion import (
-    Exchange,
-    Homing,
-    PositionPoller,
-    PtuClient,
-    Unit,
-    identify_unit,
-    open_unit,
-)
+from gyrorig_daemon.motion import Exchange, Homing, PositionPoller, Unit, open_unit
+from gyrorig_daemon.motion.directed_perception.ptu_client import PtuClient
+from gyrorig_daemon.motion.directed_perception.unit_setup import identify_unit
+from gyrorig_daemon.motion.drivers.directed_perception import DirectedPerceptionUnit
 from gyrorig_protocol.errors import DeviceError, UsageError
 from gyrorig_protocol.program import PtuSettings
 from gyrorig_protocol.ptu import Axis, Quantity, query_quantity
@@ -121,7 +116,9 @@ def client_for(answers: Answers) -> tuple[PtuClient, ScriptedHub, list[Exchange]
 
 
 def made_ready(client: PtuClient, settings: PtuSettings, *, homing: Homing = Homing.NEVER) -> Unit:
-    return open_unit(client, PtuPort("x"), settings, identify_unit(client), homing)
+    driver = DirectedPerceptionUnit(client, PtuPort("x"))
+    driver.identify()
+    return open_unit(driver, settings, homing)
 
 
 def test_a_unit_is_identified_before_any_command() -> None:

@@ -20,10 +20,11 @@ from gyrorig_daemon.motion import (
     PositionPoller,
     Unit,
     halt_and_confirm,
-    identify_unit,
     open_unit,
     plan_program,
 )
+from gyrorig_daemon.motion.directed_perception.unit_setup import identify_unit
+from gyrorig_daemon.motion.drivers.directed_perception import DirectedPerceptionUnit
 from gyrorig_daemon.session.connected_rig import Rig
 from gyrorig_daemon.session.emulator_process import emulated_rig_settings
 from gyrorig_protocol.errors import DeviceError, UsageError
@@ -54,14 +55,16 @@ class Bench:
         self.hub = VirtualHub(self.emulated)
         capture = CaptureClock(1_790_000_000_000_000_000, ORIGIN_NS)
         self.rig = Rig(self.hub, self.config, capture, stop=StopFlag(), seed=1)
-        self.client, self.pump = self.rig.client, self.rig.pump
+        driver = self.rig.driver
+        assert isinstance(driver, DirectedPerceptionUnit)
+        self.driver, self.client, self.pump = driver, driver.client, self.rig.pump
         self.positions: list[Position] = []
 
     def open(self) -> Unit:
-        version = identify_unit(self.client)
+        self.driver.identify()
         for board in self.rig.boards:
             board.identify()
-        return open_unit(self.client, self.config.ptu, PtuSettings(), version, Homing.NEVER)
+        return open_unit(self.driver, PtuSettings(), Homing.NEVER)
 
     def moving(self, unit: Unit) -> Callable[[], None]:
         """Return what carries out a long move."""

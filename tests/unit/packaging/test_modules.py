@@ -18,6 +18,7 @@ ALTERNATIVES = {
     "gyrorig_daemon.doctor": "one check per file",
     "gyrorig_daemon.emulator.board.protocols": "one protocol per file",
     "gyrorig_daemon.emulator.causes": "one cause per file",
+    "gyrorig_daemon.motion.drivers": "one driver per file",
     "gyrorig_daemon.links.can.python_can_line": "loads python-can",
     "gyrorig_protocol.board_protocols": "one protocol per file",
     "gyrorig_solver.data.stream": "one check per file",

@@ -5,19 +5,15 @@ answers, then it is halted, then the modes are set one at a time. Resolution and
 after homing, because an E46 does not know its gear ratio before its first reset.
 """
 
-from dataclasses import dataclass
-from enum import Enum
-
 from gyrorig_daemon.config import PtuPort
-from gyrorig_daemon.motion.ptu_client import DRAIN_S, PtuClient
-from gyrorig_daemon.motion.unit_facts import (
-    ARCSEC_PER_DEG,
-    UnitFacts,
+from gyrorig_daemon.motion.directed_perception.ptu_client import DRAIN_S, PtuClient
+from gyrorig_daemon.motion.directed_perception.unit_readings import (
     read_facts,
     read_integer,
     read_resolution_arcsec,
     read_text,
 )
+from gyrorig_daemon.motion.unit_facts import ARCSEC_PER_DEG, Homing, UnitFacts
 from gyrorig_protocol.errors import DeviceError, UsageError
 from gyrorig_protocol.program import PtuSettings
 from gyrorig_protocol.ptu import (
@@ -59,22 +55,6 @@ _UNITS = {
 }
 
 
-class Homing(Enum):
-    """Whether the unit may, or must, sweep both axes to find its zero."""
-
-    NEVER = "never"
-    IF_NEEDED = "if needed"
-    ALWAYS = "always"  # after lost steps a unit does not know that homing is needed
-
-
-@dataclass(frozen=True, slots=True)
-class Unit:
-    """An identified unit that is homed and at rest."""
-
-    client: PtuClient
-    facts: UnitFacts
-
-
 def identify_unit(client: PtuClient) -> FirmwareVersion:
     """Check that a pan-tilt unit is on the port, and halt it.
 
@@ -88,13 +68,13 @@ def identify_unit(client: PtuClient) -> FirmwareVersion:
     return version
 
 
-def open_unit(
+def set_up_unit(
     client: PtuClient,
     config: PtuPort,
     settings: PtuSettings,
     version: FirmwareVersion,
     homing: Homing,
-) -> Unit:
+) -> UnitFacts:
     """Home the unit if needed and allowed, apply settings, read its capabilities.
 
     Args:
@@ -121,7 +101,7 @@ def open_unit(
     facts = read_facts(client, version, dialect, signs)
     for command in _queries_to_record():
         client.ask(command)
-    return Unit(client, facts)
+    return facts
 
 
 def _wait_for_version(client: PtuClient) -> FirmwareVersion:

@@ -18,6 +18,7 @@ from dataclasses import replace
 
 from gyrorig_daemon.links.ports.port_hub import Chunk, PortChange
 from gyrorig_daemon.links.pump import Pump
+from gyrorig_daemon.motion.pan_tilt_driver import no_answer_error, unidentified_error
 from gyrorig_daemon.motion.ptu_exchange import Exchange, PtuLineCounts
 from gyrorig_protocol.errors import DeviceError
 from gyrorig_protocol.ptu import (
@@ -182,7 +183,7 @@ class PtuClient:
                 not identified itself as a pan-tilt unit.
         """
         if not self.is_identified and command != HALT_BOTH_AXES:
-            raise self.unidentified_error()
+            raise unidentified_error(self.location)
         require_done(command, self.ask(command))
 
     def halt(self) -> None:
@@ -222,19 +223,9 @@ class PtuClient:
         """Return the transmission time of bytes."""
         return byte_count * BITS_PER_BYTE * 1_000_000_000 // self.baud
 
-    def unidentified_error(self) -> DeviceError:
-        """Return the error for a unit that must identify itself before anything moves."""
-        return DeviceError(
-            f"the pan-tilt unit on {self.location} was disconnected, so its position is not known",
-            "check the cable of the unit. The daemon identifies the unit again before it moves",
-        )
-
     def no_answer_error(self, command: PtuCommand) -> DeviceError:
         """Return the error for a unit that does not answer."""
-        return DeviceError(
-            f"the pan-tilt unit on {self.location} does not answer the command {command.text!r}",
-            "check the power of the unit, its cable and its baud rate",
-        )
+        return no_answer_error(self.location, command.text)
 
     def _handle_chunk(self, chunk: Chunk) -> None:
         if chunk.change is not None:
