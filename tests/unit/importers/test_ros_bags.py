@@ -128,6 +128,15 @@ def test_damaged_bags_are_refused_in_one_line(short: SimulatedAttitudes, tmp_pat
     with pytest.raises(InputError, match="cannot be read") as caught:
         import_files([database], tmp_path / "out.mcap")
     assert "\n" not in str(caught.value)
+    with sqlite3.connect(source) as connection:
+        connection.execute("DROP TABLE schema")
+        connection.execute(
+            "CREATE VIEW schema AS WITH RECURSIVE n(schema_version) AS "
+            "(SELECT 1 UNION ALL SELECT schema_version FROM n) SELECT * FROM n"
+        )
+    connection.close()
+    with pytest.raises(InputError, match="contains views"):
+        import_files([database], tmp_path / "out.mcap")
 
 
 def test_a_bag_without_an_imu_states_what_it_contains(tmp_path: Path) -> None:

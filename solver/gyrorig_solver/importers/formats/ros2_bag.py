@@ -104,7 +104,7 @@ def _messages(path: Path, types: set[str]) -> Iterator[RosMessage]:
         check_mcap_chunks(path)
         reader: Any = McapReader(path)
     elif head.startswith(SQLITE_MAGIC):
-        _check_message_sizes(path)
+        _check_database(path)
         reader = Sqlite3Reader(path)
     else:
         raise InputError(
@@ -125,13 +125,25 @@ def _messages(path: Path, types: set[str]) -> Iterator[RosMessage]:
         reader.close()
 
 
-def _check_message_sizes(path: Path) -> None:
-    """Check the sizes that a database states, before a message is loaded.
+def _check_database(path: Path) -> None:
+    """Check that a database has tables only, and the sizes that it states.
+
+    A view can contain a query without an end.
 
     Raises:
-        InputError: a message is too large for any message that is read.
+        InputError: it has something else, or a message is too large for any message that is read.
     """
     with closing(sqlite3.connect(f"{path.resolve().as_uri()}?immutable=1", uri=True)) as database:
+        (others,) = database.execute(
+            "SELECT count(*) FROM sqlite_master WHERE type NOT IN ('table', 'index') "
+            "OR sql LIKE 'CREATE VIRTUAL%'"
+        ).fetchone()
+        if others:
+            raise InputError(
+                f"the database {path.name} contains views, triggers or virtual tables, which a "
+                "ROS 2 bag does not have",
+                "copy the bag again from its source",
+            )
         (largest,) = database.execute("SELECT max(length(data)) FROM messages").fetchone()
     if largest is not None and int(largest) > MAX_CHUNK_BYTES:
         raise InputError(
