@@ -46,7 +46,12 @@ class SimulatedAttitudes:
     true_time_s: FloatArray  # (m,), capture clock
     gain: FloatArray = field(default_factory=GAIN.copy)
     bias_rad_s: FloatArray = field(default_factory=BIAS_RAD_S.copy)
-    lag_s: float = LAG_S
+    clock_error_s: float = 0.0  # of the camera's clock, the mean over the attitudes
+
+    @property
+    def time_offset_s(self) -> float:
+        """The delay of the gyro's stamps after those of the camera, the mean over the attitudes."""
+        return LAG_S - self.clock_error_s
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -118,8 +123,8 @@ def simulate_attitudes(
     clock_s = 0.1 + frame / camera_hz  # the camera's clock
     true_s = 0.1 + (clock_s - 0.1) / (1.0 + 1e-6 * settings.skew_ppm)
     if settings.irregular_s:
-        own = settings.irregular_s * rng.normal(size=frame.size)
-        true_s, clock_s = true_s + own, clock_s + own
+        irregular_part_s = settings.irregular_s * rng.normal(size=frame.size)
+        true_s, clock_s = true_s + irregular_part_s, clock_s + irregular_part_s
     clock_s = clock_s + np.where(true_s > span_s / 2.0, settings.step_s, 0.0)
     pose = motion.attitude(true_s) * Rotation.from_rotvec(
         angle_noise_rad * rng.normal(size=(frame.size, 3))
@@ -138,11 +143,18 @@ def simulate_attitudes(
     is_sent = rng.random(frame.size) >= settings.drop_share
     if settings.lost_s:
         is_sent &= np.abs(true_s - 0.4 * span_s) > settings.lost_s / 2.0
+    error_s = clock_s - true_s
     stamp_s = clock_s + _stamp_errors(rng, settings, frame.size)
     if settings.kind != "device":
         stamp_s = np.maximum.accumulate(stamp_s)  # a link delivers in order
     return SimulatedAttitudes(
-        gyro_time_s, gyro, stamp_s[is_sent], orientation[is_sent], frame[is_sent], true_s[is_sent]
+        gyro_time_s,
+        gyro,
+        stamp_s[is_sent],
+        orientation[is_sent],
+        frame[is_sent],
+        true_s[is_sent],
+        clock_error_s=float(np.mean(error_s[is_sent])),
     )
 
 

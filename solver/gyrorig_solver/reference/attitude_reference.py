@@ -2,35 +2,62 @@
 
 What to use when: `read_attitude` converts the attitudes of a recording to an
 `AttitudeReference`; its `rate_segments()` are segments without a gap, each with the mean
-body rates between neighbouring attitudes. The attitudes are not interpolated.
+body rates between neighbouring attitudes. The attitudes are not interpolated: where a few frames
+are missing, the rate is the mean over the longer step.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from gyrorig_protocol.errors import InputError
-from gyrorig_solver.data import FloatArray
+from gyrorig_solver.data import BoolArray, FloatArray, IntArray
+from gyrorig_solver.reference.attitude_stamps import AttitudeStamps, read_stamps
 from gyrorig_solver.reference.rotations import integrated_rate, relative_vectors
 
-# A longer step, in median steps, is a gap (a lost marker, a lost frame).
+# A longer step, in frames, is a gap, except for `MAX_BRIDGED_S`.
 MAX_GAP_STEPS = 1.5
+# Missing frames in up to this time make one longer step; a gap that is longer ends a segment.
+MAX_BRIDGED_S = 0.1
 # The fit discards the edges of a segment; nothing remains of a shorter one.
 MIN_SEGMENT_ATTITUDES = 50
 # Tolerance of the length of a quaternion, above rounding errors.
 LENGTH_TOLERANCE = 0.01
 # Above this turn per step, the mean rate between two attitudes depends on the path.
 MAX_MEAN_RATE_TURN_RAD = 0.5
+# Jitter of stamps can swap neighbours, but not attitudes that are further apart.
+MAX_DISORDER_S = 0.1
+# An attitude that repeats the one before it while its neighbours turn by so many times the
+# smallest turn between any two attitudes was not measured.
+MIN_REPEATED_TURN = 3.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BodyRateSegment:
-    """Mean body rates between neighbouring attitudes of one segment without a gap."""
+    """Mean body rates between neighbouring attitudes of one segment without a gap.
 
-    begin_s: FloatArray  # (n,)
+    A step over missing frames has one row for each frame, all with the mean over the whole step.
+    """
+
+    begin_s: FloatArray  # (n,), of the step
     end_s: FloatArray  # (n,), the end of a step is the begin of the next
-    rate_rad_s: FloatArray  # (n, 3), mean over the step, body frame
-    step_s: float  # median step
+    rate_rad_s: FloatArray  # (n, 3), turn over `duration_s`, body frame
+    step_s: float  # median step of a frame
+    duration_s: FloatArray  # (n,), by which turns are divided: not the jittered step
+    edge_s: FloatArray  # (n + 1,), edges of the frames, without the jitter of stamps
+
+    def rows(self, is_used: BoolArray) -> "BodyRateSegment":
+        """Return the part from the first to the last of the given rows."""
+        first, last = (int(k) for k in np.flatnonzero(is_used)[[0, -1]])
+        part = slice(first, last + 1)
+        return BodyRateSegment(
+            self.begin_s[part],
+            self.end_s[part],
+            self.rate_rad_s[part],
+            self.step_s,
+            self.duration_s[part],
+            self.edge_s[first : last + 2],
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -40,60 +67,123 @@ class AttitudeReference:
     time_s: FloatArray  # (n,), strictly increasing
     orientation_xyzw: FloatArray  # (n, 4), body to world; nan if lost
     standard_deviation_rad: FloatArray  # (n,), per axis; 0 if not specified
+    stamps: AttitudeStamps | None = None  # what the recorded stamps say
+    repeated: int = 0  # attitudes that repeat the one before them in motion; lost
+    is_cut: BoolArray | None = None  # (n,), a jump follows: the next row starts another segment
+    even_s: FloatArray | None = None  # (n,), times without jitter; None: those of `time_s`
+
+    def alternatives(self) -> list["AttitudeReference"]:
+        """Return the reference with each candidate for its times."""
+        if self.stamps is None:
+            return [self]
+        smoothest_s = self.stamps.candidates[0].time_s
+        return [
+            replace(self, time_s=times.time_s, even_s=None if times.is_even else smoothest_s)
+            for times in self.stamps.candidates
+        ]
 
     def rate_segments(self, min_attitudes: int = MIN_SEGMENT_ATTITUDES) -> list[BodyRateSegment]:
         """Return the segments of at least `min_attitudes` attitudes without a gap."""
-        if self.time_s.size < 2:
+        is_known = np.all(np.isfinite(self.orientation_xyzw), axis=1)
+        rows = np.flatnonzero(is_known)
+        if self.time_s.size < 2 or rows.size < 2:
             return []
-        usual_step_s = float(np.median(np.diff(self.time_s)))
+        step_s = float(np.median(np.diff(self.time_s)))
+        even_s = self.time_s if self.even_s is None else self.even_s
+        if self.stamps is None:
+            frames = np.rint(np.diff(self.time_s[rows]) / step_s).astype(np.int64)
+        else:
+            frames = np.diff(self.stamps.frame[rows])
+            step_s = min(step_s, self.stamps.period_s)
+        frames = np.maximum(frames, 1)
+        longest = max(MAX_GAP_STEPS, 1.0 + MAX_BRIDGED_S / step_s)
+        joined = np.diff(even_s[rows]) <= longest * step_s
+        if self.is_cut is not None:
+            # A cut after any row from one known row to the next separates them.
+            cuts = np.concatenate([[0], np.cumsum(self.is_cut)])
+            joined &= cuts[rows[1:]] == cuts[rows[:-1]]
         segments = []
-        for first, last in self._contiguous_ranges(usual_step_s):
+        for first, last in _true_ranges(joined):
             if last - first < max(min_attitudes, 3):
                 continue
-            time_s = self.time_s[first:last]
-            turns = integrated_rate(relative_vectors(self.orientation_xyzw[first:last]))
-            step_s = np.diff(time_s)
+            used = rows[first:last]
             segments.append(
-                BodyRateSegment(time_s[:-1], time_s[1:], turns / step_s[:, None], usual_step_s)
+                _rate_segment(
+                    self.time_s[used],
+                    even_s[used],
+                    self.orientation_xyzw[used],
+                    frames[first : last - 1],
+                    float(np.median(np.diff(self.time_s))),
+                )
             )
         return segments
 
     def largest_turn_rad(self) -> float:
         """Return the largest turn between neighbouring attitudes of any track."""
         turns = [
-            np.linalg.norm(segment.rate_rad_s, axis=1) * (segment.end_s - segment.begin_s)
+            np.linalg.norm(segment.rate_rad_s, axis=1) * segment.duration_s
             for segment in self.rate_segments()
         ]
         return float(max((turn.max() for turn in turns), default=0.0))
 
-    def _contiguous_ranges(self, usual_step_s: float) -> list[tuple[int, int]]:
-        is_known = np.all(np.isfinite(self.orientation_xyzw), axis=1)
-        joined = (
-            is_known[1:] & is_known[:-1] & (np.diff(self.time_s) <= MAX_GAP_STEPS * usual_step_s)
-        )
-        edges = np.diff(np.concatenate([[False], joined, [False]]).astype(np.int8))
-        first = np.flatnonzero(edges == 1)
-        last = np.flatnonzero(edges == -1) + 1
-        return list(zip(first.tolist(), last.tolist(), strict=True))
+
+def _rate_segment(
+    time_s: FloatArray,
+    even_s: FloatArray,
+    orientation_xyzw: FloatArray,
+    frames: IntArray,
+    step_s: float,
+) -> BodyRateSegment:
+    duration_s = np.diff(even_s)
+    turns = integrated_rate(relative_vectors(orientation_xyzw), duration_s)
+    rate = turns / duration_s[:, None]
+    # The fractions of a step over missing frames.
+    first = np.repeat(np.cumsum(frames) - frames, frames)
+    fraction = (np.arange(first.size) - first) / np.repeat(frames, frames)
+    edge_s = np.repeat(even_s[:-1], frames) + fraction * np.repeat(duration_s, frames)
+    return BodyRateSegment(
+        np.repeat(time_s[:-1], frames),
+        np.repeat(time_s[1:], frames),
+        np.repeat(rate, frames, axis=0),
+        step_s,
+        np.repeat(duration_s, frames),
+        np.append(edge_s, even_s[-1]),
+    )
+
+
+def _true_ranges(joined: BoolArray) -> list[tuple[int, int]]:
+    edges = np.diff(np.concatenate([[False], joined, [False]]).astype(np.int8))
+    first = np.flatnonzero(edges == 1)
+    last = np.flatnonzero(edges == -1) + 1
+    return list(zip(first.tolist(), last.tolist(), strict=True))
 
 
 def read_attitude(
     time_s: FloatArray,
     orientation_xyzw: FloatArray,
     standard_deviation_rad: FloatArray,
+    stamp: str = "",
+    rate_hz: float | None = None,
 ) -> AttitudeReference:
     """Return the reference from recorded attitudes.
 
     Args:
-        time_s: capture time, shape (n,).
+        time_s: stamps on the capture clock, shape (n,), in the order of the attitudes.
         orientation_xyzw: as recorded, body to world, shape (n, 4); a row that is not finite, or
             not of length 1, is a lost attitude.
         standard_deviation_rad: per axis, shape (n,); negative or not finite means 0.
+        stamp: `arrival`, `sampled`, or empty if the recording does not say what the stamps are.
+        rate_hz: the nominal rate of the attitudes, if known.
 
     Raises:
         InputError: there is no usable attitude, or the times do not increase.
     """
-    if time_s.size and not np.all(np.diff(time_s) > 0.0):
+    stamps = read_stamps(time_s, stamp, rate_hz) if time_s.size > 1 else None
+    disorder_s = np.maximum.accumulate(time_s) - time_s
+    if stamps is not None and (
+        np.any(disorder_s > MAX_DISORDER_S)
+        or not np.all(np.diff(stamps.candidates[0].time_s) > 0.0)
+    ):
         raise InputError(
             "the times of the reference attitude do not increase",
             "sort the source data by time, remove duplicates, and import the data again",
@@ -105,6 +195,33 @@ def read_attitude(
             "none of the reference attitudes in the recording is a quaternion of length 1",
             "check the columns of the quaternion in the import map, and import the data again",
         )
-    orientation = np.where(is_unit_length[:, None], orientation_xyzw, np.nan)
+    is_repeated = _repeated_rows(orientation_xyzw, is_unit_length)
+    is_usable = is_unit_length & ~is_repeated
     is_given = np.isfinite(standard_deviation_rad) & (standard_deviation_rad > 0.0)
-    return AttitudeReference(time_s, orientation, np.where(is_given, standard_deviation_rad, 0.0))
+    return AttitudeReference(
+        time_s if stamps is None else stamps.candidates[0].time_s,
+        np.where(is_usable[:, None], orientation_xyzw, np.nan),
+        np.where(is_given, standard_deviation_rad, 0.0),
+        stamps,
+        int(np.sum(is_repeated)),
+    )
+
+
+def _repeated_rows(orientation_xyzw: FloatArray, is_unit_length: BoolArray) -> BoolArray:
+    """Return which rows repeat the row before them although the body turns, (n,)."""
+    is_same = np.zeros(is_unit_length.size, dtype=np.bool_)
+    is_same[1:] = np.all(orientation_xyzw[1:] == orientation_xyzw[:-1], axis=1)
+    is_same &= is_unit_length
+    if not is_same.any():
+        return is_same
+    rows = np.flatnonzero(is_unit_length & ~is_same)
+    if rows.size < 3:
+        return np.zeros_like(is_same)
+    turn_rad = np.linalg.norm(relative_vectors(orientation_xyzw[rows]), axis=1)
+    smallest_rad = float(np.percentile(turn_rad, 1.0))
+    # The larger of the turns before and after a repeated row.
+    after = np.clip(np.searchsorted(rows, np.flatnonzero(is_same)), 1, rows.size - 1)
+    near_rad = np.maximum(turn_rad[after - 1], turn_rad[np.minimum(after, turn_rad.size - 1)])
+    is_moving = np.zeros_like(is_same)
+    is_moving[np.flatnonzero(is_same)[near_rad > MIN_REPEATED_TURN * smallest_rad]] = True
+    return is_moving

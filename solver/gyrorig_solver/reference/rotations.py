@@ -62,21 +62,25 @@ def relative_vectors(orientation_xyzw: FloatArray) -> FloatArray:
     return np.asarray((attitude[:-1].inv() * attitude[1:]).as_rotvec(), dtype=np.float64)
 
 
-def integrated_rate(vectors_rad: FloatArray) -> FloatArray:
+def integrated_rate(vectors_rad: FloatArray, duration_s: FloatArray) -> FloatArray:
     """Return the integral of the body rate over each of a row of neighbouring turns.
 
-    A rotation vector is not that integral when the axis moves: Bortz' equation with a
-    rate that is linear in time over three neighbours gives
-    integral = phi_k - phi_k x (phi_{k+1} - phi_{k-1}) / 24, wrong in the fourth order.
+    A rotation vector is not that integral when the axis moves: Bortz' equation with a rate that
+    is linear in time gives integral = phi - phi x w' h^2 / 12, wrong in the fourth order. The
+    derivative w' is that between the two neighbouring steps.
 
     Args:
-        vectors_rad: turns between equally spaced attitudes, shape (n, 3).
+        vectors_rad: turns between attitudes, shape (n, 3).
+        duration_s: of each turn, h, shape (n,).
 
     Source: Bortz, IEEE Trans. AES-7(1), 1971, eq. 8, integrated for a linear rate.
     """
-    change = np.zeros_like(vectors_rad)
-    change[1:-1] = vectors_rad[2:] - vectors_rad[:-2]
-    return np.asarray(vectors_rad - np.cross(vectors_rad, change) / 24.0, dtype=np.float64)
+    rate, derivative = vectors_rad / duration_s[:, None], np.zeros_like(vectors_rad)
+    # Half of the steps on both sides, and the whole step between them.
+    apart_s = duration_s[1:-1] + (duration_s[:-2] + duration_s[2:]) / 2.0
+    derivative[1:-1] = (rate[2:] - rate[:-2]) / apart_s[:, None]
+    change = derivative * duration_s[:, None] ** 2
+    return np.asarray(vectors_rad - np.cross(vectors_rad, change) / 12.0, dtype=np.float64)
 
 
 def turn_vectors(rate_rad_s: FloatArray, step_s: FloatArray) -> FloatArray:

@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
+from tests.support.simulated_samples import plain_samples
 
 from gyrorig_solver.data import FloatArray
-from gyrorig_solver.data.clocks import ClockMap
 from gyrorig_solver.data.samples import GyroSamples
 
 # The scripts of docs are run from the checkout, where a reader finds them.
@@ -20,42 +20,6 @@ if str(ROOT) not in sys.path:
 
 GAIN = np.array([[1.021, 0.013, -0.006], [-0.009, 0.984, 0.017], [0.004, -0.011, 1.008]])
 BIAS_RAD_S = np.array([0.011, -0.024, 0.006])
-
-
-def make_samples(
-    time_s: FloatArray, rate_rad_s: FloatArray, accel_m_s2: FloatArray | None = None
-) -> GyroSamples:
-    """Return samples as `load_samples` would, all good."""
-    n = time_s.size
-    clock = ClockMap(
-        time_s=time_s,
-        segment=np.zeros(n, np.int64),
-        late=np.zeros(n, np.bool_),
-        skew_ppm=0.0,
-        wander_bound_s=0.0,
-        latency_s=np.zeros(3),
-        restarts=0,
-        wraps=0,
-    )
-    return GyroSamples(
-        board="T",
-        metadata={},
-        origin_ns=0,
-        time_s=time_s,
-        host_s=time_s,
-        number=np.arange(n),
-        segment=np.zeros(n, np.int64),
-        rate_rad_s=rate_rad_s,
-        usable=np.ones(n, np.bool_),
-        accel_m_s2=accel_m_s2,
-        temperature_degc=None,
-        quantum_rad_s=1e-7,
-        clock=clock,
-        latency_bounds=None,
-        lost=0,
-        repeated=0,
-        late=0,
-    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -99,7 +63,7 @@ class Tumble:
 
 @pytest.fixture
 def samples_of() -> Callable[..., GyroSamples]:
-    return make_samples
+    return plain_samples
 
 
 @pytest.fixture

@@ -57,7 +57,9 @@ def test_integrated_rate_takes_the_cone_out() -> None:
         q, exact = coning(step_s)
         vectors = relative_vectors(q)
         plain = np.abs(vectors - exact)[1:-1].max()
-        errors[step_s] = np.abs(integrated_rate(vectors) - exact)[1:-1].max()
+        errors[step_s] = np.abs(integrated_rate(vectors, np.full(len(vectors), step_s)) - exact)[
+            1:-1
+        ].max()
         assert errors[step_s] < plain / 15.0
     # Fourth order over a step and better: halving the step leaves a sixteenth or less.
     assert errors[0.005] < errors[0.01] / 14.0

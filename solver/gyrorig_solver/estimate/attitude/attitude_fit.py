@@ -23,6 +23,7 @@ from gyrorig_solver.data import FloatArray
 from gyrorig_solver.data.samples import GyroSamples
 from gyrorig_solver.estimate.attitude.attitude_matching import AttitudeSegment, match_segments
 from gyrorig_solver.estimate.attitude.attitude_solver import AttitudeSolver, LinearisedModel
+from gyrorig_solver.estimate.attitude.attitude_times import ResolvedReference, resolve_times
 from gyrorig_solver.estimate.fit_summary import FitOutcome, build_gyro_fit
 from gyrorig_solver.estimate.gyro_fit import FitDiagnostics, GyroFit, RecordingFit
 from gyrorig_solver.estimate.information import PARAMETER_NAMES
@@ -71,6 +72,7 @@ class AttitudeFit:
     linearised: LinearisedModel
     bands: _BandComparison
     band_hz: float  # lower than requested if the bands disagree
+    resolved: tuple[ResolvedReference, ...]  # of each recording
 
 
 def solve_attitude(
@@ -81,14 +83,33 @@ def solve_attitude(
     Raises:
         InputError: gyro and reference hardly overlap.
     """
+    resolved = resolve_all(recordings, band_hz)
     matches = [
         (recording_index, match_of_track)
-        for recording_index, recording in enumerate(recordings)
-        for match_of_track in match_segments(*recording)
+        for recording_index, ((samples, _), outcome) in enumerate(
+            zip(recordings, resolved, strict=True)
+        )
+        for match_of_track in match_segments(samples, outcome.reference)
     ]
     _check_overlap({recording_index for recording_index, _ in matches}, len(recordings))
     segments = [match_of_track for _, match_of_track in matches]
-    return _solve_segments(segments, [k for k, _ in matches], band_hz, None)
+    return _solve_segments(segments, [k for k, _ in matches], band_hz, None, resolved)
+
+
+def resolve_all(
+    recordings: Sequence[tuple[GyroSamples, AttitudeReference]], band_hz: float
+) -> tuple[ResolvedReference, ...]:
+    """Return each recording's reference on the times of the fit.
+
+    Raises:
+        InputError: jitter hides which frames of a reference are missing.
+    """
+    return tuple(
+        resolve_times(samples, reference, band_hz)
+        if match_segments(samples, reference)
+        else ResolvedReference(reference)
+        for samples, reference in recordings
+    )
 
 
 def solve_without_effects(
@@ -105,7 +126,8 @@ def solve_without_effects(
     numbers = sorted(effects)
     segments = [fit.solver.segments[k] for k in numbers]
     recordings = [fit.solver.recording_of_segment[k] for k in numbers]
-    return _solve_segments(segments, recordings, band_hz, [effects[k] for k in numbers])
+    known_effects = [effects[k] for k in numbers]
+    return _solve_segments(segments, recordings, band_hz, known_effects, fit.resolved)
 
 
 def _solve_segments(
@@ -113,6 +135,7 @@ def _solve_segments(
     recording_of_segment: list[int],
     band_hz: float,
     effects: list[FloatArray] | None,
+    resolved: tuple[ResolvedReference, ...],
 ) -> AttitudeFit:
     solver = AttitudeSolver(segments, band_hz, recording_of_segment, effects)
     linearised = solver.run()
@@ -122,7 +145,7 @@ def _solve_segments(
         band_hz *= LOWER_BAND_SHARE
         solver = AttitudeSolver(segments, band_hz, recording_of_segment, effects)
         linearised = solver.run()
-    return AttitudeFit(solver, linearised, bands, band_hz)
+    return AttitudeFit(solver, linearised, bands, band_hz, resolved)
 
 
 def _check_overlap(matched: set[int], count: int) -> None:
@@ -186,7 +209,7 @@ def build_outcome(
         estimate=solver.estimate,
         observability=observability,
         reduced_chi2=inflation,
-        outliers=fit.linearised.glitches,
+        outliers=fit.linearised.glitches + sum(outcome.outliers for outcome in fit.resolved),
         rms_before_rad_s=rms_before,
         rms_after_rad_s=rms_after,
         reference=(
@@ -195,7 +218,10 @@ def build_outcome(
         ),
         reason_texts=REASON_TEXTS,
         terms=("bias", "scale", "nonorthogonality", "misalignment", "time_offset"),
-        warnings=_warnings([reference for _, reference in recordings]),
+        warnings=(
+            *_warnings([outcome.reference for outcome in fit.resolved]),
+            *(remark for outcome in fit.resolved for remark in outcome.remarks),
+        ),
         limited_reasons=(
             *(() if solver.converged else (_NOT_CONVERGED,)),
             *bands.limited_reasons,
@@ -218,8 +244,14 @@ def _recording_observability(
     solver, layout = fit.solver, fit.solver.layout
     keep = layout.index(recording)
     information = eliminate_parameters(fit.linearised.information(), keep, layout.prior_std)
+    information /= max(1.0, inflation) * fit.bands.std_factor**2
+    # The common offset of the times is one more unknown with the derivatives of the time offset
+    # and a prior; it is eliminated.
+    variance_s2 = fit.resolved[recording].offset_std_s ** 2
+    lag = information[:, 12]
     analysis = analyse_observability(
-        information / (max(1.0, inflation) * fit.bands.std_factor**2), PARAMETER_NAMES
+        information - np.outer(lag, lag) * variance_s2 / (1.0 + variance_s2 * lag[12]),
+        PARAMETER_NAMES,
     )
     factors = solver.variance_factors(fit.linearised)[keep] / max(1.0, inflation)
     return analysis.widened(np.sqrt(np.maximum(factors, 1.0)))
@@ -322,7 +354,7 @@ def _diagnostics(solver: AttitudeSolver) -> FitDiagnostics:
     shifts_s = _shifts_in_sequence_s(solver)
     for k, segment in enumerate(solver.segments):
         stride = max(1, int(1.0 / (4.0 * solver.band_hz * segment.track.step_s)))
-        middle_s = 0.5 * (segment.track.begin_s + segment.track.end_s)
+        middle_s = 0.5 * (segment.track.edge_s[:-1] + segment.track.edge_s[1:])
         time_s.append((middle_s + shifts_s[solver.recording_of_segment[k]])[::stride])
         cleaned = solver.clean_segment(k)
         measured.append(solver.band_limit(k, cleaned.measured)[::stride])

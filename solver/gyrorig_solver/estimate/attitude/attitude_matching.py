@@ -41,10 +41,17 @@ class AttitudeSegment:
             lag_s: delay of the gyro's timestamps after the motion.
         """
         begin, end = self.track.begin_s + lag_s, self.track.end_s + lag_s
-        step = (self.track.end_s - self.track.begin_s)[:, None]
+        step = self.track.duration_s[:, None]
         mean = (self.angle_spline(end) - self.angle_spline(begin)) / step
         slope = (self.rate_spline(end) - self.rate_spline(begin)) / step
         return np.asarray(mean, dtype=np.float64), np.asarray(slope, dtype=np.float64)
+
+    @property
+    def bias_share(self) -> FloatArray:
+        """The share of a bias in each mean rate, (n,): 1 without jitter of the stamps."""
+        return np.asarray(
+            (self.track.end_s - self.track.begin_s) / self.track.duration_s, dtype=np.float64
+        )
 
 
 def match_segments(samples: GyroSamples, reference: AttitudeReference) -> list[AttitudeSegment]:
@@ -71,13 +78,9 @@ def match_segments(samples: GyroSamples, reference: AttitudeReference) -> list[A
         for track in reference.rate_segments():
             inside = (track.begin_s >= low) & (track.end_s <= high)
             if inside.sum() >= MIN_BLOCKS:
-                part = BodyRateSegment(
-                    track.begin_s[inside],
-                    track.end_s[inside],
-                    track.rate_rad_s[inside],
-                    track.step_s,
+                segments.append(
+                    AttitudeSegment(track.rows(inside), rate_spline, rate_spline.antiderivative())
                 )
-                segments.append(AttitudeSegment(part, rate_spline, rate_spline.antiderivative()))
     return segments
 
 

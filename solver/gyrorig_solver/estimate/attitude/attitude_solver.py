@@ -29,6 +29,9 @@ CONVERGED_SIGMA = 1e-3
 # 1.2 times the standard deviations over 30 simulated runs, with 80 1.02 to 1.09 times.
 BINS = 10
 MIN_PER_BIN = 80
+# The inverse of a variance from n values is too large by 2 / n, and weights that follow the
+# residual fit it by as much again: so many values fewer count.
+WEIGHT_FREEDOM = 4.0
 # A residual of so many robust standard deviations is a glitch of the reference.
 GLITCH_SIGMA = 8.0
 # Chunks for the variance of the score; longer than its correlation.
@@ -58,6 +61,11 @@ class LinearisedModel:
                     noise_contribution, 0.999 * info[3 * i + j, 3 * i + j]
                 )
         return np.asarray(info, dtype=np.float64)
+
+    def leverage(self, covariance: FloatArray) -> FloatArray:
+        """Return the share of each residual's variance that the fit removes, (n, 3)."""
+        predicted = np.einsum("nij,jk,nik->ni", self.jacobian, covariance, self.jacobian)
+        return np.asarray(np.clip(predicted / self.variance, 0.0, 0.5), dtype=np.float64)
 
     def score(self) -> FloatArray:
         """Return J' V^-1 r, shape (p,)."""
@@ -115,6 +123,9 @@ class AttitudeSolver:
             self.in_band.append(f <= band_hz)
             frequency.append(f[self.in_band[-1]])
         self.frequency_hz = np.concatenate(frequency)
+        # The share of each residual that the fit removes; it has four parameters per axis.
+        rows = self.frequency_hz.size
+        self._leverage = np.full((rows, 3), min(4.0 / rows, 0.5))
         self.bin = _log_bins(self.frequency_hz)
 
     @property
@@ -131,6 +142,7 @@ class AttitudeSolver:
             inverse = analyse_scaled_observability(
                 linearised.information(), self.layout.prior_std
             ).pseudo_inverse
+            self._leverage = linearised.leverage(inverse)
             step = inverse @ linearised.score()
             by_recording = step[GAIN_PARAMETERS:].reshape(-1, SESSION_PARAMETERS)
             self.gain = self.gain + step[:GAIN_PARAMETERS].reshape(3, 3)
@@ -185,15 +197,14 @@ class AttitudeSolver:
         for segment_index, in_band in enumerate(self.in_band):
             cleaned = self.clean_segment(segment_index)
             glitches += cleaned.glitches
-            constant = np.zeros(cleaned.rate.shape[0])
-            constant[0] = np.sqrt(cleaned.rate.shape[0])
+            constant = dct(self.segments[segment_index].bias_share, norm="ortho")
             rates.append(dct(cleaned.rate, axis=0, norm="ortho")[in_band])
             slopes.append(dct(cleaned.slope, axis=0, norm="ortho")[in_band])
             residuals.append(dct(cleaned.residual, axis=0, norm="ortho")[in_band])
             gyro_spectra.append(dct(cleaned.measured, axis=0, norm="ortho")[1:])
             constants.append(constant[in_band])
         residual = np.concatenate(residuals)
-        variance = _binned_power(residual**2, self.bin, self.frequency_hz)
+        variance = _binned_power(residual**2, self.bin, self.frequency_hz, self._leverage)
         gyro_noise = np.minimum(_gyro_noise_floor(gyro_spectra), variance)
         reference_share = 1.0 - gyro_noise / variance  # of the residual, from the reference
         rate = np.concatenate(rates) + (reference_share * residual) @ inverse.T
@@ -221,7 +232,7 @@ class AttitudeSolver:
         """
         segment = self.segments[segment_index]
         measured, slope = self._measured(segment_index, self.lag_s_of(segment_index))
-        bias = self.bias_of(segment_index)
+        bias = segment.bias_share[:, None] * self.bias_of(segment_index)
         raw_residual = measured - segment.track.rate_rad_s @ self.gain.T - bias
         clipped, glitches = _clip_glitches(raw_residual, segment.track.rate_rad_s)
         rate = segment.track.rate_rad_s + (raw_residual - clipped) @ np.linalg.inv(self.gain).T
@@ -311,28 +322,35 @@ def _log_bins(frequency_hz: FloatArray) -> IntArray:
 def smooth_power(power: FloatArray, frequency_hz: FloatArray) -> FloatArray:
     """Return each coefficient's expected power, (n, 3), smooth over frequency.
 
+    The fit has removed four parameters per axis from the power; that share is added back.
+
     Args:
         power: shape (n, 3).
         frequency_hz: shape (n,), above zero for most.
     """
-    return _binned_power(power, _log_bins(frequency_hz), frequency_hz)
+    removed = np.full(power.shape, min(4.0 / power.shape[0], 0.5))
+    return _binned_power(power, _log_bins(frequency_hz), frequency_hz, removed)
 
 
-def _binned_power(power: FloatArray, bins: IntArray, frequency_hz: FloatArray) -> FloatArray:
+def _binned_power(
+    power: FloatArray, bins: IntArray, frequency_hz: FloatArray, leverage: FloatArray
+) -> FloatArray:
     """Return each coefficient's expected power: bin means, interpolated linearly in log-log.
 
-    The fit has removed four parameters per axis from the power; that share is added back.
+    The share of the power that the fit has removed, `leverage` (n, 3), is added back, and that
+    by which weights from few values are too certain.
     """
     f = np.log(np.maximum(frequency_hz, np.min(frequency_hz[frequency_hz > 0.0])))
     count = np.bincount(bins).astype(np.float64)
     centre = np.bincount(bins, f) / count
     levels = np.empty_like(power)
     for i in range(3):
-        mean = np.maximum(np.bincount(bins, power[:, i]) / count, 1e-30)
+        free = np.bincount(bins, 1.0 - leverage[:, i]) - min(WEIGHT_FREEDOM, count.min() / 2.0)
+        mean = np.maximum(np.bincount(bins, power[:, i]) / free, 1e-30)
         interpolated = np.exp(np.interp(f, centre, np.log(mean)))
-        level = np.bincount(bins, power[:, i] / interpolated) / count
+        level = np.bincount(bins, power[:, i] / interpolated) / free
         levels[:, i] = interpolated * np.maximum(level, 1e-30)[bins]
-    return np.asarray(levels * power.shape[0] / max(power.shape[0] - 4, 1), dtype=np.float64)
+    return levels
 
 
 def _gyro_noise_floor(totals: Sequence[FloatArray]) -> FloatArray:

@@ -121,7 +121,7 @@ def build_block_segments(
         rate = _group_means(
             (cleaned.measured[:n] - solver.bias_of(k)) @ inverse, steps_per_interval
         )
-        edges_s = np.append(track.begin_s[:n:steps_per_interval], track.end_s[n - 1])
+        edges_s = track.edge_s[: n + 1 : steps_per_interval]
         middle_s = (edges_s[:-1] + edges_s[1:]) / 2.0
         state = AttitudeState.build(
             edges_s,

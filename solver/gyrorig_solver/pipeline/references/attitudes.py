@@ -8,7 +8,7 @@ from gyrorig_protocol.errors import UsageError
 from gyrorig_protocol.identity import BoardId
 from gyrorig_protocol.recording.messages import REFERENCE_ATTITUDE_TOPIC
 from gyrorig_protocol.recording.recording import Recording, times_ns
-from gyrorig_solver.data.samples import GyroSamples
+from gyrorig_solver.data.samples import GyroSamples, positive_number
 from gyrorig_solver.discover import criticise_fit
 from gyrorig_solver.discover.attitude.attitude_space import AttitudeRecording, fit_attitude_space
 from gyrorig_solver.discover.attitude.explain_attitudes import explain_attitudes, extend_attitudes
@@ -115,7 +115,14 @@ def attitude_reference(recording: Recording, samples: GyroSamples) -> AttitudeRe
     """
     raw = recording.reference_attitude()
     time_s = np.asarray((times_ns(raw["host_time"]) - samples.origin_ns) * 1e-9, np.float64)
-    return read_attitude(time_s, raw["orientation"], raw["standard_deviation"])
+    about = recording.metadata.get("gyrorig.reference", {})
+    return read_attitude(
+        time_s,
+        raw["orientation"],
+        raw["standard_deviation"],
+        about.get("stamp", ""),
+        positive_number(about, "rate_hz"),
+    )
 
 
 def load_attitude_recordings(data: BoardData) -> list[AttitudeRecording]:

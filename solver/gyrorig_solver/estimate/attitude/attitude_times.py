@@ -1,0 +1,207 @@
+"""The times of reference attitudes, decided by the gyro.
+
+The stamps leave several candidates for the times (`reference.attitude_stamps`). Each is fitted
+to the gyro, and the one with the least residual is used. Then outliers and swapped markers are
+removed, and the drift between the clocks of reference and gyro is corrected.
+
+What to use when: `resolve_times` for each recording before the fit.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from gyrorig_protocol.errors import InputError
+from gyrorig_solver.data.samples import GyroSamples
+from gyrorig_solver.estimate.attitude.attitude_matching import match_segments
+from gyrorig_solver.estimate.attitude.attitude_repair import remove_outliers, remove_swapped
+from gyrorig_solver.estimate.attitude.attitude_solver import AttitudeSolver, LinearisedModel
+from gyrorig_solver.estimate.attitude.lag_drift import (
+    WINDOW_S,
+    LagDrift,
+    estimate_drift,
+    fit_drift,
+)
+from gyrorig_solver.reference import AttitudeReference
+from gyrorig_solver.reference.attitude_stamps import MIN_STAMPS
+
+# Another candidate than the smoothest must be better by so many nats.
+MIN_GAIN_NATS = 10.0
+MAX_DRIFT_ITERATIONS = 4
+MAX_REPAIRS = 3
+MAX_NAMED_STEPS = 6
+SAME_STEP_S = 2.5 * WINDOW_S  # neighbouring windows share one step
+MIN_NAMED_SKEW = 1e-6
+MIN_SCATTER_S = 2e-5  # of the mean stamp of a window: a smaller drift matters to nobody
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ResolvedReference:
+    """A reference on the times of the fit, and what was found about it."""
+
+    reference: AttitudeReference
+    remarks: tuple[str, ...] = ()
+    outliers: int = 0
+    step_std_s: float = 0.0  # of the time offset, because the clocks step
+
+    @property
+    def offset_std_s(self) -> float:
+        """The uncertainty of the time offset from the stamps alone, s."""
+        stamps = self.reference.stamps
+        return float(np.hypot(0.0 if stamps is None else stamps.offset_std_s, self.step_std_s))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Candidate:
+    reference: AttitudeReference
+    solver: AttitudeSolver
+    log_variance: float  # of all residuals in the band, in nats
+
+
+def resolve_times(
+    samples: GyroSamples, reference: AttitudeReference, band_hz: float
+) -> ResolvedReference:
+    """Return the reference on the times that agree best with the gyro.
+
+    Raises:
+        InputError: gyro and reference hardly overlap, or jitter hides which frames are missing.
+    """
+    stamps = reference.stamps
+    if stamps is not None and not stamps.is_resolved:
+        raise InputError(
+            f"the times of the reference attitudes jitter by {1e3 * stamps.jitter_s:.1f} ms, and "
+            f"the jitter hides which frames are missing (one frame is {1e3 * stamps.period_s:.1f} "
+            "ms)",
+            "record the camera's own times, or avoid lost frames",
+        )
+    outliers, remarks = 0, []
+    best = _best_candidate(samples, reference.alternatives(), band_hz)
+    for _ in range(MAX_REPAIRS):
+        repaired, found_outliers, jumps = remove_outliers(best.solver, best.reference)
+        if not found_outliers and not jumps:
+            break
+        outliers += found_outliers
+        best = _fit_drift(samples, repaired, band_hz)
+    if best.reference.is_cut is not None:
+        repaired, text = remove_swapped(best.solver, best.reference)
+        if text:
+            remarks.append(text)
+            best = _fit_drift(samples, repaired, band_hz)
+    drift = _stamp_drift(best.reference)
+    return ResolvedReference(
+        best.reference,
+        (*remarks, *_drift_remarks(drift)),
+        outliers,
+        float(np.linalg.norm(drift.step_s)) / 2.0,
+    )
+
+
+def _best_candidate(
+    samples: GyroSamples, references: list[AttitudeReference], band_hz: float
+) -> _Candidate:
+    """Return the fit of the smoothest times, or of others that are clearly better."""
+    best = smoothest = _fit_drift(samples, references[0], band_hz)
+    correction_s = smoothest.reference.time_s - references[0].time_s
+    for reference in references[1:]:
+        corrected = replace(
+            smoothest.reference,
+            time_s=reference.time_s + correction_s,
+            even_s=None if reference.even_s is None else reference.even_s + correction_s,
+        )
+        segments = match_segments(samples, corrected)
+        if not segments:
+            continue
+        solver = AttitudeSolver(segments, band_hz)
+        solver.gain, solver.biases = smoothest.solver.gain, smoothest.solver.biases
+        solver.lags_s = smoothest.solver.lags_s
+        if _log_variance(solver.linearise()) < smoothest.log_variance - MIN_GAIN_NATS:
+            candidate = _fit_drift(samples, reference, band_hz)
+            if candidate.log_variance < best.log_variance - MIN_GAIN_NATS:
+                best = candidate
+    return best
+
+
+def _log_variance(linearised: LinearisedModel) -> float:
+    """Return the log of the variances of all residuals in the band, in nats."""
+    return 0.5 * float(np.sum(np.log(linearised.variance)))
+
+
+def no_overlap() -> InputError:
+    """Return the error of a gyro and attitudes without a common stretch."""
+    return InputError(
+        "the gyroscope's samples and the reference attitudes do not overlap in time",
+        "record the board and the attitudes together for at least a few seconds",
+    )
+
+
+def _fit_drift(samples: GyroSamples, reference: AttitudeReference, band_hz: float) -> _Candidate:
+    """Fit one reference, and correct its times until the residual shows no drift."""
+    for iteration in range(MAX_DRIFT_ITERATIONS):
+        segments = match_segments(samples, reference)
+        if not segments:
+            raise no_overlap()
+        solver = AttitudeSolver(segments, band_hz)
+        linearised = solver.run()
+        drift = estimate_drift(solver)
+        if drift.is_none or iteration == MAX_DRIFT_ITERATIONS - 1:
+            break
+        reference = _corrected(reference, drift)
+    return _Candidate(reference, solver, _log_variance(linearised))
+
+
+def _corrected(reference: AttitudeReference, drift: LagDrift) -> AttitudeReference:
+    """Return the reference on corrected times; the mean of the correction is zero."""
+    correction_s = drift.at(reference.time_s)
+    correction_s = correction_s - float(np.mean(correction_s))
+    is_cut = drift.cuts(reference.time_s)
+    if reference.is_cut is not None:
+        is_cut |= reference.is_cut
+    return replace(
+        reference,
+        time_s=reference.time_s + correction_s,
+        even_s=None if reference.even_s is None else reference.even_s + correction_s,
+        is_cut=is_cut if is_cut.any() else None,
+    )
+
+
+def _stamp_drift(reference: AttitudeReference) -> LagDrift:
+    """Return the drift of the times of the fit relative to the recorded stamps."""
+    stamps = reference.stamps
+    if stamps is None or stamps.stamp_s.size < MIN_STAMPS:
+        return LagDrift(0.0, (), (), 0.0)
+    width = max(1, round(WINDOW_S / stamps.period_s))
+    starts = np.arange(0, max(stamps.stamp_s.size - width // 2, 1), width)
+    counts = np.diff(np.append(starts, stamps.stamp_s.size))
+    error_s = reference.time_s - stamps.stamp_s
+    scatter_s = max(stamps.jitter_s, MIN_SCATTER_S * np.sqrt(width))
+    return fit_drift(
+        np.add.reduceat(stamps.stamp_s, starts) / counts,
+        np.add.reduceat(error_s, starts) / counts,
+        counts / scatter_s**2,
+    )
+
+
+def _drift_remarks(drift: LagDrift) -> list[str]:
+    remarks = []
+    if abs(drift.skew) > MIN_NAMED_SKEW:
+        word = "slow" if drift.skew > 0.0 else "fast"
+        remarks.append(
+            f"the clock of the reference attitudes runs {1e6 * abs(drift.skew):.0f} ppm {word} "
+            "relative to the gyro's clock; the solver corrected their times"
+        )
+    steps: list[tuple[float, float]] = []
+    for at_s, size_s in zip(drift.step_time_s, drift.step_s, strict=True):
+        if steps and at_s - steps[-1][0] < SAME_STEP_S:
+            steps[-1] = steps[-1][0], steps[-1][1] + size_s
+        else:
+            steps.append((at_s, size_s))
+    if steps:
+        named = ", ".join(
+            f"{1e3 * size_s:+.1f} ms at {at_s:.0f} s" for at_s, size_s in steps[:MAX_NAMED_STEPS]
+        )
+        more = f" and {len(steps) - MAX_NAMED_STEPS} more" if len(steps) > MAX_NAMED_STEPS else ""
+        remarks.append(
+            "the clocks of gyro and reference attitudes step relative to each other: "
+            f"{named}{more}; the solver corrected the times of the attitudes"
+        )
+    return remarks
