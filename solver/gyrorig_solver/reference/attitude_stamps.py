@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.ndimage import minimum_filter1d, uniform_filter1d
 
-from gyrorig_solver.data import FloatArray, IntArray
+from gyrorig_solver.data import BoolArray, FloatArray, IntArray
 from gyrorig_solver.data.clocks.latency_floor import find_latency_floor
 
 # Stamps with less jitter, in frame periods, are times.
@@ -27,10 +27,13 @@ SMOOTHING_S = (10.0, 1.0, 0.3)  # of the clock, where it is no line
 # Half-normal delays have a skewness of 1.0, exponential ones of 2, symmetric jitter none.
 MIN_LATE_SKEWNESS = 0.5
 MIN_STAMPS = 50
+_BLOCK_STAMPS, _LOW_PERCENT, _EARLY_SHARE = 200, 3.0, 0.4  # of `_is_too_early`
+_MIN_JITTER = 0.02  # of a period, for sums
 _LOOP_GAIN = 0.05  # of the running offset in `number_frames`
-_MIN_JUMP = 0.6  # of a period: more is a missing frame
-_MAX_HIDDEN_JITTER = 0.25  # of a period: above it, numbers by sums of symmetric jitter are doubtful
-_TRIED_MISSING = (0.005, 0.01, 0.02, 0.03, 0.05)  # shares of frames
+_MIN_JUMP = 0.5  # of a period: more is a missing frame
+# Jitter of a period above which the numbers are doubtful: symmetric, and of late stamps.
+_MAX_HIDDEN_JITTER, _MAX_HIDDEN_DELAY = 0.25, 0.65
+_TRIED_MISSING = (0.005, 0.01, 0.02, 0.03, 0.05, 0.1)  # shares of frames
 _CUSUM_NATS = 16.0  # a false jump in ten million frames
 _MAX_EXCESS = 1.15  # of the scatter about a line over that about a running mean
 
@@ -83,12 +86,13 @@ def read_stamps(
     jitter_s = 1.4826 * float(np.median(np.abs(step_s - np.median(step_s)))) / np.sqrt(2.0)
     is_resolved, is_hidden = True, False
     if jitter_s < MAX_CLEAR_JITTER * period_s:
-        for _ in range(3):
-            frame = number_frames(stamp_s, period_s, jitter_s)
-            period_s = _regression_period(stamp_s, frame)
+        frame, _, _ = min(
+            (_number_from(stamp_s, period_s, jitter_s, by_least) for by_least in (True, False)),
+            key=lambda numbered: numbered[1],
+        )
     elif not _is_line(stamp_s, frame):
-        hidden = _number_hidden(stamp_s, period_s, jitter_s)
         is_hidden = True
+        hidden = _number_hidden(stamp_s, period_s, jitter_s)
         frame, is_resolved = (frame, False) if hidden is None else hidden
     period_s = _regression_period(stamp_s, frame)
     offset_s = stamp_s - period_s * frame
@@ -121,24 +125,37 @@ def _number_hidden(
     returned; None if the stamps are on a line for none of them.
     """
     mean_s = float(stamp_s[-1] - stamp_s[0]) / (stamp_s.size - 1)
-    best: tuple[float, IntArray, bool] | None = None
-    for start_s in (period_s, *(mean_s * (1.0 - share) for share in _TRIED_MISSING)):
-        for by_least in (True, False):
-            tried_s = start_s
-            for _ in range(3):
-                frame = number_frames(stamp_s, tried_s, 0.0 if by_least else jitter_s)
-                tried_s = _regression_period(stamp_s, frame)
-            if _is_line(stamp_s, frame):
-                delay_s = stamp_s - tried_s * frame
-                scatter_s = delay_s - _robust_line(frame.astype(np.float64), delay_s, jitter_s)
-                missing = int(frame[-1] - frame[0]) + 1 - frame.size
-                cost = frame.size * float(np.log(np.std(scatter_s))) + _CUSUM_NATS * missing
-                if best is None or cost < best[0]:
-                    best = cost, frame, by_least or jitter_s < _MAX_HIDDEN_JITTER * tried_s
-    return None if best is None else best[1:]
+    numbered = [
+        (*_number_from(stamp_s, start_s, jitter_s, by_least), by_least)
+        for start_s in (period_s, *(mean_s * (1.0 - share) for share in _TRIED_MISSING))
+        for by_least in (True, False)
+    ]
+    likely = [each for each in numbered if _is_line(stamp_s, each[0])]
+    if not likely:
+        return None
+    frame, _, found_s, by_least = min(likely, key=lambda each: each[1])
+    largest_share = _MAX_HIDDEN_DELAY if by_least else _MAX_HIDDEN_JITTER
+    return frame, jitter_s < largest_share * found_s
 
 
-def number_frames(stamp_s: FloatArray, period_s: float, jitter_s: float) -> IntArray:
+def _number_from(
+    stamp_s: FloatArray, period_s: float, jitter_s: float, by_least: bool
+) -> tuple[IntArray, float, float]:
+    """Return the numbers of frames from a first period, their cost in nats, and the period."""
+    frame = np.zeros(0, np.int64)
+    for _ in range(3):
+        frame = number_frames(stamp_s, period_s, jitter_s, by_least)
+        period_s = _regression_period(stamp_s, frame)
+    delay_s = stamp_s - period_s * frame
+    scatter_s = delay_s - _robust_line(frame.astype(np.float64), delay_s, max(jitter_s, 1e-9))
+    missing = int(frame[-1] - frame[0]) + 1 - frame.size
+    cost = frame.size * float(np.log(np.std(scatter_s) + 1e-9)) + _CUSUM_NATS * missing
+    return frame, cost, period_s
+
+
+def number_frames(
+    stamp_s: FloatArray, period_s: float, jitter_s: float, by_least: bool
+) -> IntArray:
     """Return the number of each attitude's frame, shape (n,), strictly increasing.
 
     Where a frame is missing, all later stamps are later by a period. So each stamp is judged
@@ -148,15 +165,17 @@ def number_frames(stamp_s: FloatArray, period_s: float, jitter_s: float) -> IntA
         stamp_s: in the order of the frames, shape (n,).
         period_s: of the camera, to about 1 %.
         jitter_s: standard deviation of the stamps.
+        by_least: judge the least delay of some stamps, as for stamps that are late, and not the
+            sum of all.
     """
     row = np.arange(stamp_s.size, dtype=np.int64)
     offset_s = stamp_s - period_s * row
-    if jitter_s < MAX_CLEAR_JITTER * period_s:
+    if by_least:
         least_s = minimum_filter1d(
             offset_s, STALL_FRAMES, mode="nearest", origin=-(STALL_FRAMES // 2)
         )
         return row + _count_jumps(least_s / period_s)
-    return row + _count_hidden_jumps(offset_s / period_s, jitter_s / period_s)
+    return row + _count_hidden_jumps(offset_s / period_s, max(jitter_s / period_s, _MIN_JITTER))
 
 
 def _count_jumps(offset: FloatArray) -> IntArray:
@@ -238,7 +257,8 @@ def _candidates(
     delay_s = stamp_s - frame_s
     line_s = _robust_line(frame_s, delay_s, jitter_s)
     if is_late:
-        floor = find_latency_floor(frame_s, delay_s)
+        sound = ~_is_too_early(delay_s, period_s)
+        floor = find_latency_floor(frame_s[sound], delay_s[sound])
         floor_s = floor.envelope.delay_at(frame_s)
         mean_delay_s = float(np.mean(delay_s - floor_s))
         candidates = [FrameTimes("regular frames at the least delay", frame_s + floor_s)]
@@ -256,6 +276,15 @@ def _candidates(
                 description = f"frames of a clock that is smooth over {smoothing_s:g} s"
                 candidates.append(FrameTimes(description, time_s))
     return candidates, float(offset_std_s)
+
+
+def _is_too_early(delay_s: FloatArray, period_s: float) -> BoolArray:
+    """Return which delays are too small by a part of a period, (n,): their number is wrong."""
+    blocks = np.array_split(delay_s, max(1, delay_s.size // _BLOCK_STAMPS))
+    usual_s = np.concatenate(
+        [np.full(block.size, np.percentile(block, _LOW_PERCENT)) for block in blocks]
+    )
+    return np.asarray(delay_s < usual_s - _EARLY_SHARE * period_s)
 
 
 def _robust_line(x: FloatArray, y: FloatArray, scale: float) -> FloatArray:

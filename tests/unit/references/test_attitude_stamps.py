@@ -99,7 +99,7 @@ def test_a_step_of_the_clock_makes_the_time_offset_uncertain() -> None:
 def test_frames_are_numbered_through_losses() -> None:
     for settings in (
         StampSettings(1e-3, drop_share=0.05),
-        StampSettings(2e-3, "arrival", 0, 0, 0.1),
+        StampSettings(1e-3, "arrival", 0.0, 0.0, 0.1),
     ):
         session = simulate_attitudes(2, settings)
         stamps = read_stamps(session.stamp_s)
