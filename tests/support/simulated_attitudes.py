@@ -46,12 +46,13 @@ class SimulatedAttitudes:
     true_time_s: FloatArray  # (m,), capture clock
     gain: FloatArray = field(default_factory=GAIN.copy)
     bias_rad_s: FloatArray = field(default_factory=BIAS_RAD_S.copy)
+    lag_s: float = LAG_S  # of the gyro's stamps, on the capture clock
     clock_error_s: float = 0.0  # of the camera's clock, the mean over the attitudes
 
     @property
     def time_offset_s(self) -> float:
         """The delay of the gyro's stamps after those of the camera, the mean over the attitudes."""
-        return LAG_S - self.clock_error_s
+        return self.lag_s - self.clock_error_s
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -149,30 +149,32 @@ def _fit_drift(samples: GyroSamples, reference: AttitudeReference, band_hz: floa
     return _Candidate(reference, solver, _log_variance(linearised))
 
 
-def _corrected(reference: AttitudeReference, drift: LagDrift) -> AttitudeReference:
+def _corrected(attitudes: AttitudeReference, drift: LagDrift) -> AttitudeReference:
     """Return the reference on corrected times; the mean of the correction is zero."""
-    correction_s = drift.at(reference.time_s)
+    correction_s = drift.at(attitudes.time_s)
     correction_s = correction_s - float(np.mean(correction_s))
-    is_cut = drift.cuts(reference.time_s)
-    if reference.is_cut is not None:
-        is_cut |= reference.is_cut
+    is_cut = drift.cuts(attitudes.time_s)
+    if attitudes.is_cut is not None:
+        is_cut |= attitudes.is_cut
     return replace(
-        reference,
-        time_s=reference.time_s + correction_s,
-        even_s=None if reference.even_s is None else reference.even_s + correction_s,
+        attitudes,
+        time_s=attitudes.time_s + correction_s,
+        even_s=None if attitudes.even_s is None else attitudes.even_s + correction_s,
         is_cut=is_cut if is_cut.any() else None,
     )
 
 
-def _stamp_drift(reference: AttitudeReference) -> LagDrift:
+def _stamp_drift(
+    attitudes: AttitudeReference,
+) -> LagDrift:
     """Return the drift of the times of the fit relative to the recorded stamps."""
-    stamps = reference.stamps
+    stamps = attitudes.stamps
     if stamps is None or stamps.stamp_s.size < MIN_STAMPS:
         return LagDrift(0.0, (), (), 0.0)
     width = max(1, round(WINDOW_S / stamps.period_s))
     starts = np.arange(0, max(stamps.stamp_s.size - width // 2, 1), width)
     counts = np.diff(np.append(starts, stamps.stamp_s.size))
-    error_s = reference.time_s - stamps.stamp_s
+    error_s = attitudes.time_s - stamps.stamp_s
     scatter_s = max(stamps.jitter_s, MIN_SCATTER_S * np.sqrt(width))
     return fit_drift(
         np.add.reduceat(stamps.stamp_s, starts) / counts,
