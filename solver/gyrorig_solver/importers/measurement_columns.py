@@ -27,7 +27,12 @@ from gyrorig_solver.importers.array_files import (
     too_large,
 )
 from gyrorig_solver.importers.map_keys import Column, TableLayout
-from gyrorig_solver.importers.text_columns import TextColumns, check_matrix, list_names
+from gyrorig_solver.importers.text_columns import (
+    TextColumns,
+    check_matrix,
+    list_names,
+    open_text,
+)
 
 _ARRAY_REMEDY = "save the array with numpy.savez as floats or integers"
 # RuntimeError: the archive has a password, or (NotImplementedError) an unknown compression
@@ -76,7 +81,8 @@ def open_columns(
         if is_archive or path.suffix == ".npz":
             return ArrayColumns(path.name, wanted, _NumpyArrays(path))
         check_text_table(path)
-        return TextColumns(path, wanted, layout or TableLayout())
+        with open_text(path.open("rb")) as lines:
+            return TextColumns(lines, path.name, wanted, layout or TableLayout())
     except _ARCHIVE_ERRORS as error:
         raise InputError(
             f"the file {path.name} cannot be read ({_one_line(error)})",

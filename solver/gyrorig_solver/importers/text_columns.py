@@ -9,10 +9,8 @@ import csv
 import re
 import warnings
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from io import StringIO
-from itertools import islice
-from pathlib import Path
-from typing import TextIO
+from io import StringIO, TextIOWrapper
+from typing import IO, TextIO
 
 import numpy as np
 
@@ -24,6 +22,7 @@ from gyrorig_solver.importers.map_keys import Column, TableLayout
 # A row takes about 200 bytes (measured on 2 million rows): ten million rows take 2 GB.
 MAX_ROWS = 10_000_000
 ROWS_AT_A_TIME = 200_000
+CHARACTERS_AT_A_TIME = 100_000_000
 MAX_LINE_CHARS = 100_000
 MAX_LISTED_NAMES = 12  # names listed in an error
 DELIMITERS = {"comma": ",", "semicolon": ";", "tab": "\t", "space": None}
@@ -34,18 +33,30 @@ _DECIMAL_COMMA = re.compile(r"\s*[-+]?\d*,\d+([eE][-+]?\d+)?\s*")
 class TextColumns:
     """A text table, read in blocks; only the requested columns are kept."""
 
-    def __init__(self, path: Path, wanted: Sequence[Column], layout: TableLayout) -> None:
-        self._name = path.name
-        with path.open(encoding="utf-8-sig", errors="replace", newline="") as lines:
-            header = _read_header(lines, layout)
-            text = "".join(header)
-            self._delimiter = (
-                DELIMITERS[layout.delimiter] if layout.delimiter else max(",;\t", key=text.count)
-            )
-            rows = [[cell.strip() for cell in _split(line, self._delimiter)] for line in header]
-            self._header = _HeaderNames(rows, path.name)
-            self._index = {key: self._header.find(key) for key in wanted}
-            data = self._read_rows(lines, layout)
+    def __init__(
+        self, lines: TextIO, name: str, wanted: Sequence[Column], layout: TableLayout
+    ) -> None:
+        """Read a table.
+
+        Args:
+            lines: the text; `open_text` opens it.
+            name: the file, for errors.
+            wanted: the columns by name or by number from 1.
+            layout: how the table is written.
+
+        Raises:
+            InputError: the table lacks a column, is not valid or is too large.
+        """
+        self._name = name
+        header = _read_header(lines, layout)
+        text = "".join(header)
+        self._delimiter = (
+            DELIMITERS[layout.delimiter] if layout.delimiter else max(",;\t", key=text.count)
+        )
+        rows = [[cell.strip() for cell in _split(line, self._delimiter)] for line in header]
+        self._header = _HeaderNames(rows, name)
+        self._index = {key: self._header.find(key) for key in wanted}
+        data = self._read_rows(lines, layout)
         unique = sorted(set(self._index.values()))
         self._columns = {at: data[:, unique.index(at)] for at in unique}
 
@@ -60,12 +71,10 @@ class TextColumns:
         cells = {at: str(key) for key, at in self._index.items()}
         blocks = []
         rows = 0
-        remaining = _limited_lines(lines, self._name)
-        while block := list(islice(remaining, ROWS_AT_A_TIME)):
-            self._check_width(block, layout, rows)
-            given = block
-            if layout.decimal == "comma":
-                block = [line.replace(",", ".") for line in block]
+        for given in _blocks(lines, self._name):
+            self._check_width(given, layout, rows)
+            has_comma = layout.decimal == "comma"
+            block = [line.replace(",", ".") for line in given] if has_comma else given
             try:
                 blocks.append(_parse_rows(block, self._delimiter, layout.comment, unique))
             except (ValueError, IndexError) as error:
@@ -183,6 +192,11 @@ class _HeaderNames:
         return full or [at for at, texts in enumerate(self._spellings) if name in texts]
 
 
+def open_text(file: IO[bytes]) -> TextIO:
+    """Return a file of bytes as text; a byte order mark is left out."""
+    return TextIOWrapper(file, encoding="utf-8-sig", errors="replace", newline="")
+
+
 def _read_header(lines: TextIO, layout: TableLayout) -> list[str]:
     """Return the header lines; lines before them and comments are left out."""
     for _ in range(layout.skip_rows):
@@ -197,12 +211,14 @@ def _read_header(lines: TextIO, layout: TableLayout) -> list[str]:
     return header
 
 
-def _limited_lines(lines: TextIO, table: str) -> Iterator[str]:
-    """Yield the remaining lines.
+def _blocks(lines: TextIO, table: str) -> Iterator[list[str]]:
+    """Yield the remaining lines, in blocks of limited size.
 
     Raises:
         InputError: a line is too long for a table of numbers.
     """
+    block: list[str] = []
+    characters = 0
     while line := lines.readline(MAX_LINE_CHARS):
         if len(line) == MAX_LINE_CHARS:
             raise InputError(
@@ -210,7 +226,13 @@ def _limited_lines(lines: TextIO, table: str) -> Iterator[str]:
                 "is not a table of numbers",
                 "give a table with one line per sample",
             )
-        yield line
+        block.append(line)
+        characters += len(line)
+        if len(block) == ROWS_AT_A_TIME or characters > CHARACTERS_AT_A_TIME:
+            yield block
+            block, characters = [], 0
+    if block:
+        yield block
 
 
 def _fill_left(row: Sequence[str]) -> list[str]:
