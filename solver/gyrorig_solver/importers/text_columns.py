@@ -75,8 +75,10 @@ class TextColumns:
             self._check_width(given, layout, rows)
             has_comma = layout.decimal == "comma"
             block = [line.replace(",", ".") for line in given] if has_comma else given
+            if layout.comment is not None:
+                block = [line for line in block if not line.startswith(layout.comment)]
             try:
-                blocks.append(_parse_rows(block, self._delimiter, layout.comment, unique))
+                blocks.append(_parse_rows(block, self._delimiter, unique))
             except (ValueError, IndexError) as error:
                 raise self._bad_cell_error(given, layout, cells, rows) from error
             rows += len(block)
@@ -267,7 +269,7 @@ def _cell_remedy(cell: str, row: int) -> str:
 
 
 def _parse_rows(
-    rows: Sequence[str], delimiter: str | None, comment: str | None, column_indices: Sequence[int]
+    rows: Sequence[str], delimiter: str | None, column_indices: Sequence[int]
 ) -> FloatArray:
     """Return the requested columns of some rows, shape (n, k); empty rows are left out.
 
@@ -282,7 +284,7 @@ def _parse_rows(
             delimiter=delimiter,
             usecols=column_indices,
             ndmin=2,
-            comments=comment,
+            comments=None,
             quotechar='"',
             dtype=np.float64,
         )
