@@ -5,12 +5,20 @@ import struct
 import tempfile
 import zipfile
 import zlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import zstandard
 from tests.fuzz.target import Target, check_single_line, expect_rejection
+from tests.support.flight_log_writers import write_blackbox, write_dataflash, write_ulog
+from tests.support.handheld_session import (
+    HandheldSession,
+    simulate_session,
+    write_sensor_logger,
+    write_xsens,
+)
 
 from gyrorig_protocol.errors import InputError
 from gyrorig_protocol.identity import BoardId
@@ -25,6 +33,7 @@ from gyrorig_protocol.recording.messages import (
 )
 from gyrorig_protocol.recording.reader import read_recording
 from gyrorig_protocol.recording.writer import RecordingWriter
+from gyrorig_solver.importers import ImportOptions, formats
 from gyrorig_solver.importers.map_keys import TableLayout
 from gyrorig_solver.importers.measurement_columns import open_columns
 from gyrorig_solver.importers.phone_log import read_phone_log
@@ -191,6 +200,54 @@ PHONE_LOGS = (
     b"Timestamp[nanosec], gx[rad/s], gy[rad/s], gz[rad/s]\n1000000, 1, 2, 3\n"
     b"6000000, 1, 2, 3\n11000000, 1, 2, 3\n",
 )
+
+
+def _format_target(name: str, suffix: str) -> Callable[[bytes], None]:
+    """Return the check of one format: rejected with one line, or its streams can be read."""
+
+    def run(data: bytes) -> None:
+        path = folder() / f"fuzz{suffix}"
+        path.write_bytes(data)
+        chosen = formats()[name]
+        chosen.detect(path)
+        expect_rejection(lambda _: chosen.read(path, ImportOptions()), InputError, data)
+
+    return run
+
+
+@functools.cache
+def _short_session() -> HandheldSession:
+    whole = simulate_session(1, moves=1)
+    arrays = ("time_s", "rate_rad_s", "accel_m_s2", "orientation_xyzw", "temperature_degc")
+    return replace(whole, **{name: getattr(whole, name)[:5] for name in arrays})
+
+
+def _written(write: Callable[[Path, HandheldSession], Path]) -> Callable[[], list[bytes]]:
+    return lambda: [write(folder(), _short_session()).read_bytes()]
+
+
+def phyphox_tables(data: bytes) -> None:
+    """As a format, of tables in an archive whose checksums are right: data and events."""
+    path = folder() / "fuzz.zip"
+    with zipfile.ZipFile(path, "w") as out:
+        out.writestr("Gyroscope.csv", b'"Time (s)","Gyroscope x (rad/s)","Gyroscope y (rad/s)",'
+                     b'"Gyroscope z (rad/s)"\n' + data)  # fmt: skip
+        out.writestr("meta/time.csv", data)
+    for name in ("phyphox", "sensor-logger"):
+        formats()[name].detect(path)
+    expect_rejection(lambda _: formats()["phyphox"].read(path, ImportOptions()), InputError, data)
+
+
+def sensor_logger_tables(data: bytes) -> None:
+    """As `phyphox_tables`, of Sensor Logger."""
+    path = folder() / "fuzz.zip"
+    with zipfile.ZipFile(path, "w") as out:
+        out.writestr("Gyroscope.csv", b"time,seconds_elapsed,z,y,x\n" + data)
+        out.writestr("Metadata.csv", data)
+    chosen = formats()["sensor-logger"]
+    expect_rejection(lambda _: chosen.read(path, ImportOptions()), InputError, data)
+
+
 TARGETS = (
     Target("recording", recording, lambda: [small_recording()], 16384),
     Target("chunk", chunk, _contents, 8192),
@@ -199,6 +256,31 @@ TARGETS = (
     Target("array", array, lambda: [small_array()], 1024),
     Target(
         "layout", layout, lambda: [b'gyro,,\nx,x,y\n# a\n"1,5",2,3\n', b"gyro;;\nx;x;y\n1,5;2;3"]
+    ),
+    Target("ulog", _format_target("ulog", ".ulg"), _written(write_ulog), 8192),
+    Target("dataflash", _format_target("dataflash", ".bin"), _written(write_dataflash), 4096),
+    Target("blackbox", _format_target("blackbox", ".bbl"), _written(write_blackbox), 8192),
+    Target("xsens", _format_target("xsens", ".txt"), _written(write_xsens), 4096),
+    Target(
+        "sensor-logger",
+        _format_target("sensor-logger", ".zip"),
+        _written(write_sensor_logger),
+        8192,
+    ),
+    Target(
+        "phyphox",
+        phyphox_tables,
+        lambda: [
+            b"0.0,1,2,3\n0.1,1,2,3\n0.2,1,2,3\n",
+            b"START,0,1000\nPAUSE,5,1005\nSTART,5,1010\n",
+        ],
+        1024,
+    ),
+    Target(
+        "sensor-logger-tables",
+        sensor_logger_tables,
+        lambda: [b"1000000000,0.0,1,2,3\n2000000000,1.0,1,2,3\n3000000000,2.0,1,2,3\n"],
+        1024,
     ),
     Target("table", table, lambda: [b"t,x,y\n0,1,2\n1,3,4\n", b"t\tx\ty\n1\t2\t3\n"], 1024),
 )

@@ -67,7 +67,7 @@ def read_blackbox(path: Path) -> list[BlackboxSession]:
     while at >= 0:
         starts.append(at)
         at = data.find(PRODUCT, at + 1)
-    ends = [*starts[1:], len(data)]
+    ends = [*starts[1:], len(data)][: len(starts)]
     sessions = []
     for begin, end in zip(starts, ends, strict=True):
         session = _SessionReader(data, begin, end, path.name).read()
@@ -170,8 +170,8 @@ class _SessionReader:
             mean = int((last + before) / 2)  # as in C, towards zero
             return {1: last, 2: 2 * last - before, 3: mean, 6: last + 1 + self._skipped}[predictor]
         if predictor == 5:
-            motor = self._fields["I"].names.index("motor[0]")
-            return row[motor] if motor < len(row) else 0
+            names = self._fields["I"].names[: len(row)]
+            return row[names.index("motor[0]")] if "motor[0]" in names else 0
         header = {4: "minthrottle", 9: "vbatref", 11: "motorOutput"}.get(predictor)
         if header is not None:
             return _whole_number(self._headers.get(header, "0").split(",")[0], 0)

@@ -61,7 +61,7 @@ def read_dataflash(path: Path, wanted: frozenset[str]) -> DataflashLog:
         types, places, skipped = _scan(data, size, wanted)
         if not types:
             raise InputError(
-                f"the file {path.name} contains no FMT message, so it is no complete DataFlash log",
+                f"the file {path.name} contains no FMT message, so it is incomplete",
                 "download the log from the flight controller again",
             )
         columns = {
@@ -121,7 +121,12 @@ def _message_type(body: bytes) -> tuple[int, _MessageType] | None:
         for part in (body[2:6], body[6:22], body[22:86])
     )
     columns = names.split(",")
-    if len(columns) != len(characters) or len(set(columns)) != len(columns) or not name:
+    if (
+        len(columns) != len(characters)
+        or len(set(columns)) != len(columns)
+        or not name
+        or not all(columns)
+    ):
         return None
     if any(character not in _DTYPES for character in characters):
         return None
@@ -147,7 +152,8 @@ def _columns(data: mmap.mmap, kind: _MessageType, at: np.ndarray) -> dict[str, F
         parts.append(raw[rows].view(kind.dtype)[:, 0])
     del raw  # the map cannot be closed while an array uses it
     messages = np.concatenate(parts)
-    return {
-        key: np.asarray(messages[key], dtype=np.float64) * scale
-        for key, scale in kind.scales.items()
-    }
+    with np.errstate(invalid="ignore"):  # of a nan that is signalling
+        return {
+            key: np.asarray(messages[key], dtype=np.float64) * scale
+            for key, scale in kind.scales.items()
+        }

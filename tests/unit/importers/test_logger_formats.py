@@ -8,20 +8,22 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.support.flight_log_writers import (
+    blackbox_session,
+    dataflash_head,
+    dataflash_message,
+    write_blackbox,
+    write_dataflash,
+    write_ulog,
+)
 from tests.support.handheld_session import (
     BIAS_RAD_S,
     GAIN,
     START_NS,
     HandheldSession,
-    blackbox_session,
-    dataflash_head,
-    dataflash_message,
     simulate_session,
-    write_blackbox,
-    write_dataflash,
     write_phyphox,
     write_sensor_logger,
-    write_ulog,
     write_ximu3,
     write_xsens,
 )

@@ -21,7 +21,8 @@ from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
 ROOT = Path(__file__).parents[3]
-EXTRAS = ("", "solver", "fleet", "ros", "tables", "live", "docs")  # dev and fuzz are for a checkout
+# dev and fuzz are for a checkout
+EXTRAS = ("", "solver", "fleet", "ros", "tables", "flight", "live", "docs")
 SHORT = """
 schema: gyrorig/program/1
 name: short

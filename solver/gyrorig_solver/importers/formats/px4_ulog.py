@@ -156,12 +156,14 @@ def _definitions(source: Path) -> Iterator[str]:
             size, kind = struct.unpack("<HB", head)
             if kind in b"ALC":  # the data begin
                 return
-            if kind not in b"BFIMPQ" and not 0 < size <= _MAX_UNKNOWN_BYTES:
+            is_known = kind in b"BFIMPQ"
+            body = file.read(size)
+            # pyulog would search for other definitions, without end in a file that is cut
+            if len(body) < size or not (is_known or (kind and 0 < size <= _MAX_UNKNOWN_BYTES)):
                 raise InputError(
-                    f"the definitions in the ULog file {source.name} are damaged",
+                    f"the definitions in the ULog file {source.name} are damaged or incomplete",
                     "copy the log from the flight controller again",
                 )
-            body = file.read(size)
             if kind in b"F":
                 yield body.decode("utf-8", errors="ignore")
 
@@ -193,7 +195,8 @@ def _time_s(columns: dict[str, Any]) -> FloatArray:
 def _triple(columns: dict[str, Any], names: tuple[str, str, str]) -> FloatArray | None:
     if any(name not in columns for name in names):
         return None
-    return np.stack([np.asarray(columns[name], dtype=np.float64) for name in names], axis=1)
+    with np.errstate(invalid="ignore"):  # of a nan that is signalling
+        return np.stack([np.asarray(columns[name], dtype=np.float64) for name in names], axis=1)
 
 
 def _rates(name: str, columns: dict[str, Any]) -> FloatArray | None:
@@ -244,7 +247,8 @@ def _board(
     temperature = None
     if "temperature" in gyro:
         time_s, first = np.unique(_time_s(gyro), return_index=True)
-        degc = np.asarray(gyro["temperature"], dtype=np.float64)[first]
+        with np.errstate(invalid="ignore"):
+            degc = np.asarray(gyro["temperature"], dtype=np.float64)[first]
         if np.any(np.isfinite(degc)) and time_s.size > 1:
             temperature = TemperatureStream(degc, time_s)
     return MeasuredBoard(
@@ -274,9 +278,10 @@ def _poses(
     if any(f"q[{index}]" not in columns for index in range(4)):
         notes.append(f"{name} has no attitude")
         return None
-    values = np.stack(
-        [np.asarray(columns[f"q[{index}]"], dtype=np.float64) for index in (1, 2, 3, 0)], axis=1
-    )
+    with np.errstate(invalid="ignore"):
+        values = np.stack(
+            [np.asarray(columns[f"q[{index}]"], dtype=np.float64) for index in (1, 2, 3, 0)], axis=1
+        )
     length = np.linalg.norm(values, axis=1)
     kept = np.isfinite(length) & (np.abs(length - 1.0) < 0.01)
     time_s = _time_s(columns)
