@@ -2,7 +2,7 @@
 
 What to use when: `read_blackbox` returns the sessions of a file with the main fields as columns.
 
-Source: Betaflight, docs/development/Blackbox internals.md, and src/main/blackbox/
+Source: Betaflight, "Blackbox internals", and src/main/blackbox/
 blackbox_encoding.c: a session begins with the line `H Product:Blackbox flight data recorder by
 Nicholas Sherwood`; the lines `H Field I name`, `predictor` and `encoding` describe the frames. A
 frame begins with a letter: I has whole values, P the differences from a prediction, S, G and H

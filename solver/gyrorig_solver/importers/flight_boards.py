@@ -26,9 +26,9 @@ class RateSource:
 
     def in_order(self) -> "RateSource":
         """Return the rows with finite values, sorted by time, each time once."""
-        kept = np.flatnonzero(np.isfinite(self.time_s) & np.all(np.isfinite(self.rate_rad_s), 1))
-        _, first = np.unique(self.time_s[kept], return_index=True)
-        return RateSource(self.name, self.time_s[kept[first]], self.rate_rad_s[kept[first]])
+        valid = np.flatnonzero(np.isfinite(self.time_s) & np.all(np.isfinite(self.rate_rad_s), 1))
+        _, first = np.unique(self.time_s[valid], return_index=True)
+        return RateSource(self.name, self.time_s[valid[first]], self.rate_rad_s[valid[first]])
 
     @property
     def rate_hz(self) -> float:

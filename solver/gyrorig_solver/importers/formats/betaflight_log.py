@@ -57,15 +57,15 @@ class BetaflightLog:
                 "download the log from the flight controller again",
             )
         session, notes = _choose_session(sessions, options.topics, source.name)
-        time_us, kept = _times(session)
+        time_us, frames = _times(session)
         rates, more = _rates(session, source.name)
         accel = _accelerations(session)
         if session.damaged:
             notes.append(f"{session.damaged} damaged frames were left out")
         board = MeasuredBoard(
             options.board or "BETAFLIGHT",
-            GyroStream(time_us * 1e-6, rates[kept]),
-            None if accel is None else AccelStream(accel[kept]),
+            GyroStream(time_us * 1e-6, rates[frames]),
+            None if accel is None else AccelStream(accel[frames]),
             metadata={
                 "sensor": options.sensor or "unknown",
                 "model": session.headers.get("Board information", "Betaflight")[:100],
@@ -123,8 +123,8 @@ def _times(session: BlackboxSession) -> tuple[FloatArray, np.ndarray]:
     steps = np.mod(np.diff(np.mod(raw, _TIME_WRAP_US)), _TIME_WRAP_US)
     is_next = np.concatenate([[True], (steps > 0.0) & (steps < _MAX_GAP_US)])
     time_us = raw[0] + np.concatenate([[0.0], np.cumsum(np.where(is_next[1:], steps, 0.0))])
-    kept = np.flatnonzero(is_next)
-    return time_us[kept] - min(0.0, float(raw[0])), kept
+    frames = np.flatnonzero(is_next)
+    return time_us[frames] - min(0.0, float(raw[0])), frames
 
 
 def _rates(session: BlackboxSession, name: str) -> tuple[FloatArray, list[str]]:

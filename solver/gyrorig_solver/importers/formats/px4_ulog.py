@@ -1,6 +1,6 @@
 """Logs of the flight controller PX4 (ULog), with one board per gyroscope.
 
-Source: PX4, docs/en/dev_log/ulog_file_format.md, and msg/SensorGyro.msg (x, y, z in rad/s,
+Source: PX4, "ULog file format", and msg/SensorGyro.msg (x, y, z in rad/s,
 temperature), VehicleImu.msg (delta_angle in rad over delta_angle_dt in us), SensorCombined.msg
 (gyro_rad), SensorAccel.msg, VehicleOdometry.msg (q: w, x, y, z, body to world). `timestamp_sample`
 and `timestamp` are in us since the start. vehicle_attitude comes from the filter EKF2, which uses
@@ -283,13 +283,13 @@ def _poses(
             [np.asarray(columns[f"q[{index}]"], dtype=np.float64) for index in (1, 2, 3, 0)], axis=1
         )
     length = np.linalg.norm(values, axis=1)
-    kept = np.isfinite(length) & (np.abs(length - 1.0) < 0.01)
+    is_valid = np.isfinite(length) & (np.abs(length - 1.0) < 0.01)
     time_s = _time_s(columns)
-    lost = int((~kept).sum())
-    if not kept.any():
+    lost = int((~is_valid).sum())
+    if not is_valid.any():
         notes.append(f"{name} has no valid attitude")
         return None
-    return PoseStream(time_s[kept], values[kept] / length[kept, None], lost=lost)
+    return PoseStream(time_s[is_valid], values[is_valid] / length[is_valid, None], lost=lost)
 
 
 FORMAT = Px4Ulog()

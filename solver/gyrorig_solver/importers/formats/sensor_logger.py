@@ -1,10 +1,10 @@
 """Exports of the app Sensor Logger: a zip archive or a folder with one table per sensor.
 
-Source: tszheichoi/awesome-sensor-logger, README.md and UNITS.md: the columns are `time` (Unix
+Source: tszheichoi/awesome-sensor-logger, README and UNITS: the columns are `time` (Unix
 time in ns), `seconds_elapsed`, `z`, `y` and `x`; rates are in rad/s; `TotalAcceleration` includes
 gravity and exists on Android only; `AccelerometerUncalibrated` of iOS is in g, unless the units
 are standardised. `Metadata.csv` names the platform. An uncalibrated accelerometer of iOS has the
-opposite sign of Android's (COORDINATES.md there).
+opposite sign of Android's (COORDINATES there).
 """
 
 from dataclasses import dataclass

@@ -140,11 +140,11 @@ def _read_poses(
     columns = tables.columns("Quaternion.csv", [1, 2, 3, 4, 5])
     values = columns.matrix([3, 4, 5, 2], 4)
     length = np.linalg.norm(values, axis=1)
-    kept = np.isfinite(length) & (np.abs(length - 1.0) < 0.01)
+    is_valid = np.isfinite(length) & (np.abs(length - 1.0) < 0.01)
     poses = PoseStream(
-        columns.matrix([1], 1)[kept, 0] * 1e-6,
-        values[kept] / length[kept, None],
-        lost=int((~kept).sum()),
+        columns.matrix([1], 1)[is_valid, 0] * 1e-6,
+        values[is_valid] / length[is_valid, None],
+        lost=int((~is_valid).sum()),
     )
     return poses, ["the reference is the x-IMU3's own attitude, computed from the same gyroscope"]
 

@@ -190,8 +190,10 @@ def _poses(
         ]
     values = columns.matrix(_QUATERNION, 4)
     length = np.linalg.norm(values, axis=1)
-    kept = np.isfinite(length) & (np.abs(length - 1.0) < 0.01)
-    poses = PoseStream(time_s[kept], values[kept] / length[kept, None], lost=int((~kept).sum()))
+    is_valid = np.isfinite(length) & (np.abs(length - 1.0) < 0.01)
+    poses = PoseStream(
+        time_s[is_valid], values[is_valid] / length[is_valid, None], lost=int((~is_valid).sum())
+    )
     return poses, ["the reference is the device's own attitude, computed from the same gyroscope"]
 
 
