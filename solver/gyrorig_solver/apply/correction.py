@@ -308,8 +308,8 @@ def _g_sensitivity(calibration: CalibrationDocument) -> tuple[FloatArray, list[s
     stage = _values_or_zero(parameter).reshape(3, 3)
     is_partial = isinstance(parameter.value, list) and None in parameter.value
     words = (
-        "g_sensitivity along the stage's x axis is set to 0, because a pan-tilt unit cannot "
-        "measure it"
+        "g_sensitivity along the stage's x axis is set to 0, because the motion of the recording "
+        "did not show it"
     )
     return stage @ misalignment.T, [words] if is_partial else []
 

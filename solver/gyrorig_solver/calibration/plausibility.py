@@ -22,8 +22,7 @@ from gyrorig_solver.calibration.verdict import Verdict
 from gyrorig_solver.discover import CALIBRATION_PARAMETERS
 from gyrorig_solver.estimate import GyroFit
 from gyrorig_solver.model import format_short, group_of
-from gyrorig_solver.uncertainty import UncertaintyBudget
-from gyrorig_solver.uncertainty.uncertainty_budget import DataSheetEntry
+from gyrorig_solver.uncertainty import DataSheetEntry, UncertaintyBudget
 
 MAX_SIGMA = 4.0  # prior and data together; above it the value is not plausible
 # A data sheet's limits are two standard deviations. The smallest values: mounting, ageing.

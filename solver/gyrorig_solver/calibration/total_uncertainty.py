@@ -27,8 +27,8 @@ from gyrorig_solver.calibration.uncertainty_wording import contribution_name, ma
 from gyrorig_solver.discover import CALIBRATION_PARAMETERS
 from gyrorig_solver.model import PARAMETER_GROUPS, format_short, group_of, parameter_label
 from gyrorig_solver.numerics import normal_upper_tail
-from gyrorig_solver.uncertainty import UncertaintyBudget
-from gyrorig_solver.uncertainty.uncertainty_budget import BudgetEntry, DataSheetEntry
+from gyrorig_solver.uncertainty import DataSheetEntry, UncertaintyBudget
+from gyrorig_solver.uncertainty.uncertainty_budget import BudgetEntry
 
 COVERAGE_FACTOR = 2.0  # of an interval if all errors are normal
 MIN_SHARE = 0.01  # of the total variance; smaller contributions are not listed

@@ -6,6 +6,7 @@ what differs between references; the search itself is `cause_search`; `checks` h
 result; `cause_findings` the result types.
 """
 
+from gyrorig_solver.discover.attitude.attitude_space import AttitudeFitSpace
 from gyrorig_solver.discover.boards.joint_explanation import explain_jointly
 from gyrorig_solver.discover.calibration_changes import CALIBRATION_PARAMETERS
 from gyrorig_solver.discover.cause_findings import (
@@ -20,6 +21,7 @@ from gyrorig_solver.discover.motion_space import MotionFitSpace
 
 __all__ = [
     "CALIBRATION_PARAMETERS",
+    "AttitudeFitSpace",
     "CauseFindings",
     "FitCriticism",
     "FitExplanation",

@@ -78,8 +78,8 @@ def findings_without_rates(fit: GyroFit) -> CauseFindings:
     """
     compared = fit.reference.partition(";")[0] or "a quantity of the board"
     why = (
-        f"the reference ({compared}) does not give the rate at every time; record the board on a "
-        "pan-tilt unit, or with reference attitudes"
+        f"the reference ({compared}) does not give the rate at every time; record the board with "
+        "reference attitudes"
     )
     return CauseFindings(
         verdict="adequate",
@@ -90,7 +90,9 @@ def findings_without_rates(fit: GyroFit) -> CauseFindings:
         untestable=tuple(
             UntestableCause(term.cause, None, why)
             for term in catalogue().values()
-            if term.kind in ("effect", "gauge", "stochastic") and not term.is_configuration_error
+            if term.kind in ("effect", "gauge", "stochastic")
+            and not term.is_configuration_error
+            and not term.is_of_unit
         ),
         base_terms=fit.terms,
         base_reduced_chi2=fit.reduced_chi2,

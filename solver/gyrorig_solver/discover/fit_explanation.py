@@ -220,8 +220,11 @@ def _untestable_causes(
     """Return the causes that these residuals cannot test, with the reasons."""
     untestable: list[UntestableCause] = []
     scored = {(score.term.cause, score.place) for score in scores}
+    has_unit = any(state.has_angles for state in projection.states)
     for term in terms:
         cause = term.cause
+        if term.is_of_unit and not has_unit:
+            continue
         if term.kind == "gauge":
             untestable.append(UntestableCause(cause, None, term.excitation))
         elif term.is_noise_process:

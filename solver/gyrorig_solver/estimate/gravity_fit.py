@@ -78,7 +78,7 @@ def fit_gravity(
         raise InputError(
             "a calibration with gravity as the reference needs an accelerometer, but the recording "
             f"has no accelerometer of board {samples.board}",
-            "record the accelerometer of the board too, or record the board on a pan-tilt unit",
+            "record the accelerometer of the board too, or reference attitudes",
         )
     poses = find_poses(samples.time_s, samples.accel_m_s2, gravity_m_s2, rest_interval)
     rest_bias = _rest_bias(samples, poses)

@@ -15,7 +15,7 @@ import numpy as np
 
 from gyrorig_protocol.errors import UsageError
 from gyrorig_solver.data import FloatArray, IntArray
-from gyrorig_solver.export.export_source import AXES_TEXT, ExportSource, printable_line, quoted
+from gyrorig_solver.export.export_source import ExportSource, printable_line, quoted
 
 _INT16_LIMIT = 32768
 _INT32_LIMIT = 2**31 - 1
@@ -132,7 +132,7 @@ def _header_comment(
         *source.header_lines(),
         "",
         "Input: counts as the sensor sends them, in its own axes x, y, z.",
-        f"Output: the true rate in rad/s, in {AXES_TEXT[source.frame]}.",
+        f"Output: the true rate in rad/s, in {source.axes_text}.",
         "    rate = A counts + c;  A = scale (S T M)^-1, c = -(S T M)^-1 b; rows first.",
         "Positive rates are counter-clockwise about their axis, seen from its tip.",
         f"{stem}_rate_float gives floats. {stem}_rate_fixed gives 32-bit integers in steps",

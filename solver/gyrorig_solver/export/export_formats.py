@@ -7,7 +7,7 @@ from typing import Any
 from gyrorig_protocol.errors import UsageError
 from gyrorig_solver.calibration import calibration_as_mapping
 from gyrorig_solver.export.c_header import c_header
-from gyrorig_solver.export.export_source import AXES_TEXT, ExportSource
+from gyrorig_solver.export.export_source import ExportSource
 from gyrorig_solver.export.flight_controllers import ardupilot_parameters, px4_parameters
 from gyrorig_solver.export.kalibr import kalibr_imu
 from gyrorig_solver.export.ros import ros_parameters
@@ -90,7 +90,7 @@ def json_text(source: ExportSource) -> str:
         "conventions": {
             "rate": "rate = inverse_gain (reading - bias), rad/s; rows first, columns in",
             "reading": "counts times nominal_scale_rad_s, in the sensor's own axes",
-            "axes": AXES_TEXT[source.frame],
+            "axes": source.axes_text,
             "time": "time of the motion = time of the sample - time_offset_s",
         },
         "frame": source.frame,

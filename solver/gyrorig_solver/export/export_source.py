@@ -15,11 +15,12 @@ from gyrorig_solver.apply.correction import unobservable_text
 from gyrorig_solver.calibration import calibration_document
 from gyrorig_solver.data import FloatArray
 
-AXES_TEXT = {
-    "stage": "the stage's axes during the calibration: x is the tilt axis, y points forward "
-    "(roll), z is the pan axis",
-    "sensor": "the orthogonalised axes of the sensor: x is its x axis, y is in its x-y plane",
-}
+UNIT_AXES = (
+    "the stage's axes during the calibration: x is the tilt axis, y points forward (roll), z is "
+    "the pan axis"
+)
+REFERENCE_AXES = "the stage's axes during the calibration, which are those of its reference"
+SENSOR_AXES = "the orthogonalised axes of the sensor: x is its x axis, y is in its x-y plane"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -55,6 +56,18 @@ class ExportSource:
         except InputError:
             calibration = None
         return cls(source, digest, frame, calibration)
+
+    @property
+    def axes_text(self) -> str:
+        """The axes of the corrected rates, in words."""
+        if self.frame == "sensor":
+            return SENSOR_AXES
+        is_on_unit = (
+            self.document.quality.rest_to_rest is not None
+            or self.document.unit_prior is not None
+            or self.document.solver.method == "paper"
+        )
+        return UNIT_AXES if is_on_unit else REFERENCE_AXES
 
     @property
     def correction(self) -> Correction:

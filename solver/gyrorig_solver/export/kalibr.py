@@ -22,7 +22,7 @@ import numpy as np
 
 from gyrorig_protocol.errors import InputError
 from gyrorig_solver.data import FloatArray
-from gyrorig_solver.export.export_source import AXES_TEXT, ExportSource
+from gyrorig_solver.export.export_source import ExportSource
 from gyrorig_solver.export.ros import yaml_list, yaml_number
 
 _TWO_SIDED = math.sqrt(0.5)  # root of a one-sided density to root of a two-sided density
@@ -43,7 +43,8 @@ def kalibr_imu(source: ExportSource, name: str | None = None) -> str:
             if density is None
             else (
                 "output rate of the board",
-                "add `odr_hz` under `facts` of the board in the rig file, and record again",
+                "add `odr_hz` under `facts` of the board in the rig file and record again, or add "
+                "`rate_hz` under `time` in the import map and import again",
             )
         )
         raise InputError(
@@ -92,7 +93,7 @@ def _intrinsics(source: ExportSource) -> list[str]:
         "#   measured = M C_gyro_i true + A C_gyro_i accel + bias",
         "# measured: counts * nominal scale, in rad/s, in the sensor's own axes.",
         "# true: the rate in rad/s; accel: the specific force in m/s^2.",
-        f"# Both are in {AXES_TEXT[source.frame]}.",
+        f"# Both are in {source.axes_text}.",
         "# i is that frame. It is not the accelerometer's frame, which Kalibr calls i.",
         "# M, C_gyro_i and A: rows first, columns in; A is in rad/s/(m/s^2).",
         "# Kalibr estimates these parameters itself and does not read them. OpenVINS and other",

@@ -9,7 +9,7 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from gyrorig_solver.export.export_source import AXES_TEXT, ExportSource, quoted
+from gyrorig_solver.export.export_source import ExportSource, quoted
 
 
 def ros_parameters(source: ExportSource, name: str | None = None) -> str:
@@ -24,7 +24,7 @@ def ros_parameters(source: ExportSource, name: str | None = None) -> str:
     lines += [
         "#",
         "# true = correction * (read - bias), all rad/s; correction rows first, columns in.",
-        f"# true: in {AXES_TEXT[source.frame]}.",
+        f"# true: in {source.axes_text}.",
         "# read: counts * nominal_scale, in the sensor's own axes, or the output of its driver",
         "#   if the driver publishes rad/s at the data sheet's scale in the sensor's own axes.",
         "# time of the motion = timestamp of the sample - time_offset.",

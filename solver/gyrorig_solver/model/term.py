@@ -64,7 +64,9 @@ Quantity = Literal["mean", "gain", "lag"]
 # grid: some rows of the template bank first. full_grid: all rows. pulses, spectral_lines: rows
 # at the strongest pulses or lines of the residual.
 TemplateSearch = Literal["grid", "full_grid", "pulses", "spectral_lines"]
-NO_ANGLES = "the reference has no pan and tilt angles; use a pan-tilt unit"
+NO_ANGLES = (
+    "the reference does not give the pose of the board at each moment; use a reference that does"
+)
 DERIVATIVE_STEP = 1e-3  # of a parameter's typical size, for finite differences
 
 
@@ -211,6 +213,11 @@ class Term(ABC):
         if self.stage == "readout":
             return state
         raise NotImplementedError(f"{self.cause} does not define what stage {self.stage} changes")
+
+    @property
+    def is_of_unit(self) -> bool:
+        """Whether only a pan-tilt unit can have this cause."""
+        return self.part == "ptu"
 
     def reason_not_testable(self, state: SignalState) -> str | None:
         """Return why this recording cannot show the cause, with the remedy; None if it can."""

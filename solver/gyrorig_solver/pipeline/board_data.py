@@ -183,7 +183,7 @@ def find_reference(data: BoardData) -> "ReferenceKind":
     for kind in reference_kinds():
         if kind.is_given(data):
             return kind
-    *others, last = [kind.title for kind in reference_kinds()]
+    *others, last = [kind.title for kind in reference_kinds() if kind.is_suggested]
     names = ", ".join(recording.path.name for recording in data.recordings)
     raise InputError(
         f"the recording {names[:120]} has no reference to compare the rates with",

@@ -14,13 +14,18 @@ from gyrorig_solver.calibration import find_profile
 from gyrorig_solver.data import FloatArray
 from gyrorig_solver.data.stream.gain_checks import check_gain
 from gyrorig_solver.data.stream.stream_checks import check_stream
-from gyrorig_solver.discover import CauseFindings, FitCriticism, FitExplanation
-from gyrorig_solver.discover.attitude.attitude_space import AttitudeFitSpace
+from gyrorig_solver.discover import (
+    AttitudeFitSpace,
+    CauseFindings,
+    FitCriticism,
+    FitExplanation,
+)
 from gyrorig_solver.estimate import ConvergedFit, GyroFit
 from gyrorig_solver.findings.findings_builder import RawChecks
 from gyrorig_solver.pipeline.board_data import BoardData
 from gyrorig_solver.report import ReportSeries
 
+NO_CAUSE_REMARK = "the search named no cause, so the program tested no cause on {}"
 ALL_RECORDINGS = "all recordings"  # whose common gain a check is of
 
 

@@ -15,14 +15,13 @@ from gyrorig_solver.discover import FitExplanation, HeldOutGain
 from gyrorig_solver.discover.held_out_gain import gain_on_recording
 from gyrorig_solver.pipeline.board_data import BoardData
 from gyrorig_solver.pipeline.board_results import (
+    NO_CAUSE_REMARK,
     BoardExplanation,
     check_fitted_gain,
     check_raw_streams,
 )
 from gyrorig_solver.pipeline.prepare_board import prepare_held_out, stage_level
 from gyrorig_solver.report.report_series import series_of_explanation
-
-NO_CAUSE_REMARK = "the search named no cause, so the program tested no cause on {}"
 
 
 def explain_motion(

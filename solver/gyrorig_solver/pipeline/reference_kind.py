@@ -18,6 +18,7 @@ from gyrorig_solver.discover.fit_criticism import findings_without_rates
 from gyrorig_solver.estimate import FittedTerm, GyroFit, ObservabilityReport
 from gyrorig_solver.pipeline.board_data import BoardData
 from gyrorig_solver.pipeline.board_results import (
+    NO_CAUSE_REMARK,
     BoardExplanation,
     CriticisedFit,
     check_fitted_gain,
@@ -36,6 +37,7 @@ class ReferenceKind(ABC):
 
     title: str  # in a list of what a recording can have, for example "known turns"
     preference: int  # of the kinds that the recordings have, the smallest number is used
+    is_suggested = True  # where recordings have no reference of any kind
     can_be_searched = False  # whether causes can be searched in the residual of its fit
     # What to record for `x`, `y`, `z` (gain columns), `bias` and `time_offset`, for a motion.
     remedies: Mapping[str, str] = MappingProxyType({})
@@ -80,15 +82,21 @@ class ReferenceKind(ABC):
             InputError: the data are not sufficient.
             UsageError: the recordings cannot be fitted together.
         """
-        del held_out  # no cause is named
         fit = self.fit(data)
+        not_tested = () if held_out is None else (NO_CAUSE_REMARK.format(held_out.path.name),)
         return BoardExplanation(
             board=BoardId(data.board),
             recordings=data.recordings,
             findings=findings_without_rates(fit),
             raw_checks=(*check_raw_streams(data), check_fitted_gain(data, fit.gain)),
             report_series=None,
-            remarks=(*data.missing, *fit.warnings, *fit.limited_reasons, NO_RATES_REMARK),
+            remarks=(
+                *data.missing,
+                *fit.warnings,
+                *fit.limited_reasons,
+                NO_RATES_REMARK,
+                *not_tested,
+            ),
             fit_explanation=None,
             fit=fit,
         )

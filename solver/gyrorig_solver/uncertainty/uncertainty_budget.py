@@ -9,8 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gyrorig_solver.data import FloatArray, IntArray
-from gyrorig_solver.discover import CALIBRATION_PARAMETERS
-from gyrorig_solver.discover.attitude.attitude_space import AttitudeFitSpace
+from gyrorig_solver.discover import CALIBRATION_PARAMETERS, AttitudeFitSpace
 from gyrorig_solver.discover.calibration_changes import CalibrationValues, last_recording_part
 from gyrorig_solver.estimate import (
     GAIN_PARAMETERS,

@@ -40,15 +40,16 @@ class BlockSegment:
     """One segment as block means, with its signal state."""
 
     recording: int
-    solver_segment: int  # the fit's number of it
     state: AttitudeState
     measured: FloatArray  # (blocks, 3), the gyro
-    effect: FloatArray  # (blocks, 3), of the causes that the fit has taken out of the gyro's rates
     modelled: FloatArray  # (blocks, 3), G w + b of the fit
     rate: FloatArray  # (blocks, 3), of the stage, from the gyro
     slope: FloatArray  # (blocks, 3), of the gyro by the lag
     time_s: FloatArray  # (blocks,)
     in_band_count: int  # coefficients in the band
+    solver_segment: int = 0  # the fit's number of it
+    # (blocks, 3), of the causes that the fit has taken out of the gyro's rates
+    effect: FloatArray | float = 0.0
 
     @property
     def block_count(self) -> int:

@@ -50,6 +50,11 @@ class MotorCoupling(LinearTerm):
         measured = state.measure_sensor_rate(on_all_axes(running))
         return split_axes(measured)
 
+    @property
+    def is_of_unit(self) -> bool:
+        """The motors are the unit's."""
+        return True
+
     def reason_not_testable(self, state: SignalState) -> str | None:
         """Return why the reference has no motors, or None."""
         return None if state.has_angles else NO_ANGLES

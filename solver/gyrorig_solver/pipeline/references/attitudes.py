@@ -15,12 +15,12 @@ from gyrorig_solver.discover.attitude.explain_attitudes import explain_attitudes
 from gyrorig_solver.estimate import FittedTerm, GyroFit
 from gyrorig_solver.pipeline.board_data import BoardData, load_board
 from gyrorig_solver.pipeline.board_results import (
+    NO_CAUSE_REMARK,
     BoardExplanation,
     CriticisedFit,
     check_fitted_gain,
     check_raw_streams,
 )
-from gyrorig_solver.pipeline.motion_explanation import NO_CAUSE_REMARK
 from gyrorig_solver.pipeline.recording_contexts import read_contexts
 from gyrorig_solver.pipeline.reference_kind import ReferenceKind
 from gyrorig_solver.pipeline.term_selection import check_fittable

@@ -14,6 +14,7 @@ class PanTiltKind(MotionKind):
 
     title = "a pan-tilt unit"
     preference = 10
+    is_suggested = False
     remedies = UNIT_REMEDIES
 
     def is_given(self, data: BoardData) -> bool:
