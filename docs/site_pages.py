@@ -59,7 +59,7 @@ PYTHON = (
         ("parse_calibration", "calibration_as_yaml"),
     ),
     ("gyrorig_solver.calibration.calibration_store", ("CalibrationStore",)),
-    ("gyrorig_solver.importers", ("import_measurements", "load_import_map")),
+    ("gyrorig_solver.importers", ("import_files", "import_measurements", "load_import_map")),
     ("gyrorig_protocol.errors", ("GyrorigError", "UsageError", "InputError", "DeviceError")),
 )
 

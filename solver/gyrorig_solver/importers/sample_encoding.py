@@ -124,7 +124,8 @@ def _device_ticks(
 def _gyro_counts(gyro: GyroStream, row: IntArray) -> IntArray:
     if gyro.scale_rad_s is not None:
         return _whole_counts(gyro.values[row], "gyro")
-    return _int32_counts(gyro.values[row] / GYRO_COUNT_RAD_S, "gyro")
+    with np.errstate(over="ignore"):  # a value out of range is refused
+        return _int32_counts(gyro.values[row] / GYRO_COUNT_RAD_S, "gyro")
 
 
 def _accel_counts(
@@ -138,7 +139,8 @@ def _accel_counts(
     picked = np.where(valid[:, None], picked, 0.0)
     if accel.scale_m_s2 is not None:
         return _whole_counts(picked, "accel"), valid
-    return _int32_counts(picked / ACCEL_COUNT_M_S2, "accel"), valid
+    with np.errstate(over="ignore"):
+        return _int32_counts(picked / ACCEL_COUNT_M_S2, "accel"), valid
 
 
 def _temperature_counts(

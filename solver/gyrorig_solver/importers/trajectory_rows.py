@@ -4,6 +4,7 @@ What to use when: `pose_stream` in a format whose poses are rows of numbers; `ex
 a column of whole nanoseconds.
 """
 
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -27,10 +28,12 @@ def exact_stamps_ns(path: Path) -> IntArray:
         InputError: a cell is not a whole number.
     """
     try:
-        stamps = np.loadtxt(
-            path, delimiter=",", skiprows=1, usecols=[0], dtype=np.int64, ndmin=1, comments=None,
-            max_rows=MAX_ROWS,
-        )  # fmt: skip
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", UserWarning)  # about empty lines, and no lines
+            stamps = np.loadtxt(
+                path, delimiter=",", skiprows=1, usecols=[0], dtype=np.int64, ndmin=1,
+                comments=None, max_rows=MAX_ROWS,
+            )  # fmt: skip
     except (ValueError, IndexError, OverflowError) as error:
         raise InputError(
             f"the first column of the table {path.name} does not contain whole nanoseconds",
