@@ -14,7 +14,7 @@ from gyrorig_daemon.commands.terminal import CONTEXT
 from gyrorig_daemon.halt.standalone_halt import USUAL_BAUDS, halt_unit
 from gyrorig_protocol.errors import UsageError
 
-EMULATED = "emulated"  # as in `config`, whose imports are not wanted here
+EMULATED, TERMINAL = "emulated", "terminal"  # as in `config`, whose imports are not wanted here
 _LARGEST_BYTES = 4_000_000
 _BAUDS = range(600, 2_000_001)
 # For a document that is not valid YAML: the section `ptu:` and its entries.
@@ -58,9 +58,10 @@ def halt_command(config_path: Path | None, port: str | None, as_json: bool) -> N
             "give the rig file with --config, or the port with --port, for example --port "
             "/dev/ttyUSB0",
         )
-    if unit_port == EMULATED:
+    if unit_port in (EMULATED, TERMINAL):
+        kind = "emulated" if unit_port == EMULATED else "replaced by a person"
         _print_result(
-            "The pan-tilt unit of this rig is emulated, so there is nothing to halt.",
+            f"The pan-tilt unit of this rig is {kind}, so there is nothing to halt.",
             {"halted": False},
             as_json,
         )

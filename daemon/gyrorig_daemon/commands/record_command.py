@@ -70,7 +70,8 @@ def record_command(context: click.Context, /, **options: Any) -> None:
 
     Nothing moves before every device has identified itself and the whole program is inside
     the limits of the unit. However the session ends, the unit is halted and the recording is
-    closed. The path of the recording is printed on standard output.
+    closed. The path of the recording is printed on standard output. With `driver: manual` in the
+    rig file, the program guides a person who turns the boards.
 
     \b
     Example:
@@ -80,8 +81,9 @@ def record_command(context: click.Context, /, **options: Any) -> None:
     terminal = context.find_object(Terminal) or Terminal()
     config_path, program_path = options["config_path"], options["program_path"]
     config_text, program_text = read_document(config_path), read_document(program_path)
+    config = parse_rig(config_text, config_path.name, config_path.parent)
     request = SessionRequest(
-        config=parse_rig(config_text, config_path.name, config_path.parent),
+        config=config,
         config_text=config_text,
         program=parse_program(program_text, program_path.name),
         program_text=program_text,
@@ -89,8 +91,10 @@ def record_command(context: click.Context, /, **options: Any) -> None:
         session=_session_name(options["session"]),
         home=options["home"],
     )
+    span_s = estimate_session_s(request.program, config.ptu.is_person)
     commitments: list[str] = []
-    shows_progress = is_interactive() and not (terminal.quiet or terminal.verbose)
+    is_quiet = terminal.quiet or terminal.verbose or config.ptu.is_person
+    shows_progress = is_interactive() and not is_quiet
 
     def publish_commitment(sha256: str) -> None:
         commitments.append(sha256)
@@ -100,13 +104,14 @@ def record_command(context: click.Context, /, **options: Any) -> None:
         task = record_modes.RecordTask(
             request=request,
             config_path=config_path,
-            emulation=emulation_options(options, estimate_session_s(request.program)),
+            emulation=emulation_options(options, span_s),
             host=socket.gethostname(),
             stop=stop,
             progress=progress,
             on_commitment=publish_commitment,
             on_event=_print_event if terminal.verbose else ignore_event,
             on_summary=lambda summary: _print_summary(summary, terminal),
+            say=_print_line,
         )
         if options["simulated_time"]:
             path = record_modes.record_in_simulated_time(task)
@@ -140,6 +145,10 @@ def _stop_by_signal() -> Iterator[StopFlag]:
     finally:
         for number, handler in previous_handlers.items():
             signal.signal(number, handler)
+
+
+def _print_line(line: str) -> None:
+    click.echo(line, err=True)
 
 
 def _print_event(kind: str, text: str) -> None:

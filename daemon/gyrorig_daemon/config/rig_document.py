@@ -30,6 +30,8 @@ from gyrorig_protocol.suggestions import did_you_mean
 
 SCHEMA = "gyrorig/rig/1"
 EMULATED = "emulated"
+MANUAL = "manual"  # the driver of a person
+TERMINAL = "terminal"  # the port of a person who reads the terminal
 PTU_PORT = "ptu"  # the hub's name of the unit's port; boards have "board:<id>"
 
 BITS_PER_BYTE = 10  # 8N1
@@ -89,6 +91,11 @@ class PtuPort(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     limits: CommandLimits = CommandLimits()
     poll: Polling = Polling()
     home_without_asking: bool = False
+
+    @property
+    def is_person(self) -> bool:
+        """Whether a person turns the board, instead of a unit."""
+        return self.driver == MANUAL
 
 
 class BoardFacts(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -170,8 +177,9 @@ class RigConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     def ports(self) -> dict[str, str]:
         """Return the paths of all ports by their names in the hub."""
+        unit = {} if self.ptu.is_person and self.ptu.port == TERMINAL else {PTU_PORT: self.ptu.port}
         return {
-            PTU_PORT: self.ptu.port,
+            **unit,
             **{board.hub_port: board.port for board in self.serial_boards},
             **{bus.hub_port: bus.port for bus in self.buses},
         }
@@ -223,6 +231,11 @@ def parse_rig(text: str | bytes, name: str, folder: Path | None = None) -> RigCo
     validate_buses(rig, name)
     for board in rig.serial_boards:
         _validate_board(board, rig.emulator.odr_hz, name)
+    if rig.ptu.is_person and rig.ptu.port not in (TERMINAL, EMULATED):
+        raise UsageError(
+            f"{name}: a person has no port, but `port` under `ptu` is {rig.ptu.port!r:.60}",
+            "write `port: terminal`, or `port: emulated` for an emulated person",
+        )
     _validate_limits(rig.ptu.limits, name)
     validate_schedule(rig.schedule, name)
     return rig

@@ -110,7 +110,8 @@ def _check_forecast(
 def _ports(config: RigConfig) -> list[tuple[str, str, str]]:
     """Return the hub name, the subject and the path of each serial port."""
     boards = [(board.hub_port, f"board {board.id}", board.port) for board in config.serial_boards]
-    return [(PTU_PORT, UNIT, config.ptu.port), *boards]
+    has_unit = PTU_PORT in config.ports()  # not where a person turns the boards
+    return [(PTU_PORT, UNIT, config.ptu.port), *boards] if has_unit else boards
 
 
 def _check_device(

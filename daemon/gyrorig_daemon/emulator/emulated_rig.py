@@ -12,10 +12,12 @@ import numpy as np
 
 from gyrorig_daemon.emulator.board import EmulatedBoard, EmulatedCanBoard
 from gyrorig_daemon.emulator.emulated_can_bus import EmulatedCanBus
+from gyrorig_daemon.emulator.emulated_person import EmulatedPerson
 from gyrorig_daemon.emulator.emulator_settings import PtuSettings, RigSettings
 from gyrorig_daemon.emulator.injection import apply_causes
 from gyrorig_daemon.emulator.physics.device_clock import DeviceClock
 from gyrorig_daemon.emulator.physics.effects.rig_hooks import AxisHooks, RigHooks
+from gyrorig_daemon.emulator.physics.hand_stage import HandStage
 from gyrorig_daemon.emulator.physics.host_latency import HostLatency
 from gyrorig_daemon.emulator.physics.motion_law import MotionLaw
 from gyrorig_daemon.emulator.physics.stage_motion import Stage
@@ -85,7 +87,8 @@ class EmulatedRig:
         root = np.random.default_rng([settings.seed, _RUNTIME_STREAM])
         latency_rng, ptu_rng, counter_rng, *board_rngs = root.spawn(3 + len(settings.boards))
         unit_settings = settings.ptu or PtuSettings()
-        self.stage = Stage(
+        make_stage = Stage if settings.hand is None else HandStage
+        self.stage = make_stage(
             pan=StepperAxis(
                 _axis_truth(
                     unit_settings,
@@ -109,6 +112,9 @@ class EmulatedRig:
             tilt_axis_error_rad=self.truth.tilt_axis_error_rad,
             ground_rate_rad_s=self.hooks.ground_rate_rad_s,
         )
+        self.person: EmulatedPerson | None = None
+        if settings.hand is not None and isinstance(self.stage, HandStage):
+            self.person = EmulatedPerson(settings.hand, self.stage, origin_ns, ptu_rng)
         self.ptu: EmulatedPtu | None = None
         if settings.ptu is not None:
             counter = DeviceClock(self.truth.controller_clock, origin_ns, counter_rng)
@@ -141,7 +147,8 @@ class EmulatedRig:
     @property
     def devices(self) -> dict[str, EmulatedDevice]:
         """All devices by port name."""
-        named: dict[str, EmulatedDevice] = {} if self.ptu is None else {PTU_PORT: self.ptu}
+        unit = self.ptu or self.person
+        named: dict[str, EmulatedDevice] = {} if unit is None else {PTU_PORT: unit}
         named.update(
             {
                 board_port(name): board

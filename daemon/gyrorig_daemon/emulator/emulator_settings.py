@@ -87,6 +87,20 @@ class PtuSettings:
 
 
 @dataclass(frozen=True, slots=True)
+class HandSettings:
+    """A person who turns the board. Numbers count attempts at turns or rests, from 1."""
+
+    angle_std_deg: float = 0.5  # of a turn against a mark
+    axis_std_deg: float = 0.5  # of the axis, in each direction
+    tremor_deg: float = 0.03  # amplitude
+    short_turns: tuple[int, ...] = ()  # turned by half of the angle only
+    wrong_axes: tuple[int, ...] = ()  # turned about another axis
+    early_turns: tuple[int, ...] = ()  # begun before the start signal
+    late_turns: tuple[int, ...] = ()  # not finished in time
+    moved_rests: tuple[int, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
 class BoardFaults:
     """Faults of a board. Numbers count frames or samples, from 1; 0 = never."""
 
@@ -148,6 +162,7 @@ class RigSettings:
 
     seed: int = 1
     ptu: PtuSettings | None = PtuSettings()
+    hand: HandSettings | None = None  # a person instead of the unit
     boards: tuple[BoardSettings, ...] = (BoardSettings(),)
     buses: tuple[BusSettings, ...] = ()
     injections: tuple[InjectionRequest, ...] = ()

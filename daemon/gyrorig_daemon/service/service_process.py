@@ -80,6 +80,12 @@ def load_config(path: Path) -> LoadedConfig:
     """
     text = read_document(path)
     config = parse_rig(text, path.name, path.parent)
+    if config.ptu.is_person:
+        raise UsageError(
+            f"in {path.name}, a person turns the boards (`driver: manual`), which a service cannot "
+            "guide",
+            "record with `gyrorigd record`",
+        )
     for entry in config.schedule:
         parse_program(read_document(path.parent / entry.program), entry.program)
     return LoadedConfig(config, text)

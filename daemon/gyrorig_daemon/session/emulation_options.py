@@ -3,9 +3,18 @@
 from dataclasses import dataclass
 from pathlib import Path
 
-from gyrorig_protocol.program import Home, MotionProgram, Move, PtuSettings, Rest, unroll_steps
+from gyrorig_protocol.program import (
+    Home,
+    MotionProgram,
+    Move,
+    PtuSettings,
+    Rest,
+    unroll_manual_steps,
+    unroll_steps,
+)
 
 _TABLE_UPDATE_S = 12.5  # a unit computes its tables again for each base speed and acceleration
+_PAUSE_S = 4.0  # of a person, between two steps
 _ACCELERATION_DEG_S2 = 100.0  # factory setting
 
 
@@ -37,11 +46,15 @@ class EmulationOptions:
         return words
 
 
-def estimate_session_s(program: MotionProgram) -> tuple[float, float]:
+def estimate_session_s(program: MotionProgram, is_manual: bool = False) -> tuple[float, float]:
     """Return the approximate start and end of a session in seconds since power-up.
 
-    Single events of hidden causes are placed between the two.
+    Single events of hidden causes are placed between the two. A person executes a program with
+    `is_manual`.
     """
+    if is_manual:
+        steps = unroll_manual_steps(program.steps, program.name)
+        return 0.0, sum(step.seconds + _PAUSE_S for step in steps)
     begin_s = _TABLE_UPDATE_S if program.settings != PtuSettings() else 0.0
     acceleration_deg_s2 = program.settings.acceleration_deg_s2 or _ACCELERATION_DEG_S2
     total_s = begin_s

@@ -18,6 +18,7 @@ from gyrorig_daemon.emulator.emulated_rig import EmulatedRig
 from gyrorig_daemon.emulator.emulator_settings import (
     BoardSettings,
     BusSettings,
+    HandSettings,
     PtuSettings,
     RigSettings,
 )
@@ -81,7 +82,8 @@ def emulated_rig_settings(
     )
     return RigSettings(
         seed=emulator_config.seed if seed is None else seed,
-        ptu=ptu if config.ptu.port == EMULATED else None,
+        ptu=ptu if config.ptu.port == EMULATED and not config.ptu.is_person else None,
+        hand=HandSettings() if config.ptu.is_person else None,
         boards=boards,
         buses=buses,
         injections=tuple(parse_injection(text) for text in emulation.hide),

@@ -19,6 +19,7 @@ from gyrorig_daemon.clocks.capture_clock import (
 )
 from gyrorig_daemon.config import EMULATED, PTU_PORT, RigConfig
 from gyrorig_daemon.links.ports.acquisition_hub import AcquisitionHub, PortSettings
+from gyrorig_daemon.links.ports.port_hub import PortHub
 from gyrorig_daemon.links.ports.raw_clock import raw_ns
 from gyrorig_daemon.links.pump import StopFlag
 from gyrorig_daemon.session.emulation_options import EmulationOptions
@@ -31,6 +32,7 @@ from gyrorig_daemon.session.session_environment import (
     SessionEnvironment,
     SessionSummary,
     ignore_event,
+    ignore_line,
     ignore_progress,
     ignore_summary,
 )
@@ -57,6 +59,16 @@ class RecordTask:
     on_event: EventListener = ignore_event
     on_summary: Callable[[SessionSummary], None] = ignore_summary
     on_commitment: Callable[[str], None] = _ignore_commitment  # hash of the hidden parameters
+    say: Callable[[str], None] = ignore_line  # to a person who turns the boards
+
+
+def _record(hub: PortHub, request: SessionRequest, environment: SessionEnvironment) -> Path:
+    """Record with the pan-tilt unit, or guide the person who takes its place."""
+    if not request.config.ptu.is_person:
+        return record_session(hub, request, environment)
+    from gyrorig_daemon.session.manual_session import record_by_hand  # noqa: PLC0415 - NumPy
+
+    return record_by_hand(hub, request, environment)
 
 
 def record_in_real_time(task: RecordTask) -> Path:
@@ -104,9 +116,10 @@ def record_in_real_time(task: RecordTask) -> Path:
             progress=task.progress,
             on_event=task.on_event,
             on_summary=task.on_summary,
+            say=task.say,
         )
         try:
-            return record_session(hub, task.request, environment)
+            return _record(hub, task.request, environment)
         except DeviceError as fault:
             if ending_text := ending():
                 raise MachineError(
@@ -178,8 +191,9 @@ def record_in_simulated_time(task: RecordTask) -> Path:
         progress=task.progress,
         on_event=task.on_event,
         on_summary=task.on_summary,
+        say=task.say,
     )
-    path = record_session(hub, task.request, environment)
+    path = _record(hub, task.request, environment)
     truth.write_full_truth(POWER_UP_NS, hub.now_ns())
     if task.emulation.rates is not None:
         rates = compare_noise_free(rig, hub.now_ns())
@@ -195,9 +209,11 @@ def make_port_settings(config: RigConfig, paths: dict[str, str]) -> dict[str, Po
         paths: the present path of each port.
     """
     bauds = {PTU_PORT: config.ptu.baud, **{b.hub_port: b.baud for b in config.serial_boards}}
+    halt = "" if config.ptu.is_person else HALT_COMMAND
     settings = {
-        port: PortSettings(paths[port], baud, HALT_COMMAND if port == PTU_PORT else "")
+        port: PortSettings(paths[port], baud, halt if port == PTU_PORT else "")
         for port, baud in bauds.items()
+        if port in paths
     }
     for bus in config.buses:
         settings[bus.hub_port] = PortSettings(paths[bus.hub_port], bus.bitrate, kind="can")

@@ -33,7 +33,7 @@ def describe_session(
     request: SessionRequest,
     capture: CaptureClock,
     host: str,
-    facts: UnitFacts,
+    facts: UnitFacts | None,
     boards: Sequence[BoardLink],
     now_ns: int,
 ) -> RecordingPlan:
@@ -43,7 +43,7 @@ def describe_session(
         request: what to record.
         capture: the session's clock.
         host: the name of this computer.
-        facts: capabilities and settings of the unit.
+        facts: capabilities and settings of the unit, None without one.
         boards: boards that have identified themselves.
         now_ns: raw monotonic time.
     """
@@ -61,9 +61,10 @@ def describe_session(
             "anchor_monotonic_raw_ns": str(capture.anchor_raw_ns),
             "host": host,
         },
-        "gyrorig.ptu": facts.metadata(),
         "foxglove": {"deviceName": config.rig},
     }
+    if facts is not None:
+        metadata["gyrorig.ptu"] = facts.metadata()
     for board in boards:
         metadata[f"gyrorig.board.{board.board_id}"] = board.metadata()
     if site := _site_metadata(config.site):

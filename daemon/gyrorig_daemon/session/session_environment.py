@@ -35,6 +35,10 @@ def ignore_event(_kind: str, _text: str) -> None:
     """Show no events."""
 
 
+def ignore_line(_line: str) -> None:
+    """Say nothing."""
+
+
 def ignore_summary(_summary: SessionSummary) -> None:
     """Show no summary."""
 
@@ -54,5 +58,6 @@ class SessionEnvironment:
     progress: Progress = ignore_progress
     on_event: EventListener = ignore_event
     on_summary: Callable[[SessionSummary], None] = ignore_summary
+    say: Callable[[str], None] = ignore_line  # to a person who turns the boards
     new_recorder: Callable[[], Recorder] | None = None  # None: one file, a disk error ends it
     close_timeout_s: float = CLOSE_TIMEOUT_S

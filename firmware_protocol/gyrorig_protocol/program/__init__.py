@@ -3,7 +3,7 @@
 The daemon executes a program; the solver's planner writes one.
 
 What to use when: `parse_program` for a document; `unroll_steps` for its steps in order, with
-repeats expanded.
+repeats expanded; `unroll_manual_steps` for a program that a person executes.
 """
 
 from gyrorig_protocol.program.program_document import (
@@ -14,7 +14,9 @@ from gyrorig_protocol.program.program_document import (
     Repeat,
     Rest,
     Step,
+    Turn,
     parse_program,
+    unroll_manual_steps,
     unroll_steps,
 )
 
@@ -26,6 +28,8 @@ __all__ = [
     "Repeat",
     "Rest",
     "Step",
+    "Turn",
     "parse_program",
+    "unroll_manual_steps",
     "unroll_steps",
 ]

@@ -14,6 +14,7 @@
 Angles are in degrees only here, because people write this document.
 """
 
+import math
 from collections.abc import Iterator
 from typing import Annotated, Literal
 
@@ -24,7 +25,7 @@ from gyrorig_protocol.errors import UsageError
 
 SCHEMA = "gyrorig/program/1"
 MAX_STEPS = 100_000
-STEP_KINDS = ("rest", "move", "repeat", "home")  # a step has exactly one of these keys
+STEP_KINDS = ("rest", "move", "repeat", "home", "turn")  # a step has exactly one of these keys
 
 Positive = Annotated[float, msgspec.Meta(gt=0.0)]
 Seconds = Annotated[float, msgspec.Meta(ge=0.0, le=86_400.0)]
@@ -65,6 +66,18 @@ class Home(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     speed_deg_s: Positive | None = None
 
 
+class Turn(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """A turn of the board by hand, from rest to rest; the phase is `turn`.
+
+    `axis` is of the board, not of the room. `std_deg` is the standard deviation of the angle.
+    """
+
+    axis: tuple[float, float, float]
+    angle_deg: Annotated[float, msgspec.Meta(ge=-36_000.0, le=36_000.0)]
+    seconds: Annotated[float, msgspec.Meta(ge=1.0, le=600.0)] = 10.0
+    std_deg: Annotated[float, msgspec.Meta(gt=0.0, le=30.0)] = 1.0
+
+
 class Step(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """One step; exactly one of its fields is set."""
 
@@ -72,6 +85,7 @@ class Step(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     move: Move | None = None
     repeat: Repeat | None = None
     home: Home | None = None
+    turn: Turn | None = None
 
 
 class PtuSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -110,7 +124,7 @@ def parse_program(text: str | bytes, name: str) -> MotionProgram:
     """
     program = convert_document(parse_yaml(text, name, schema=SCHEMA), MotionProgram, name)
     count = 0
-    for _ in unroll_steps(program.steps, name):
+    for _ in _unroll(program.steps, name):
         count += 1
         if count > MAX_STEPS:
             raise UsageError(
@@ -125,23 +139,47 @@ def parse_program(text: str | bytes, name: str) -> MotionProgram:
     return program
 
 
-def unroll_steps(
-    steps: tuple[Step, ...], name: str, parent_number: str = ""
-) -> Iterator[Rest | Move | Home]:
+def unroll_steps(steps: tuple[Step, ...], name: str) -> Iterator[Rest | Move | Home]:
     """Yield the rests, moves and homing moves of `steps` in order, with repeats expanded.
 
     Args:
         steps: the steps of a program, or of a repeat in it.
         name: the program's name in an error.
-        parent_number: the number of the enclosing repeat and a dot, `3.`; empty at the top level.
 
     Raises:
-        UsageError: a step has none or several of its fields set; the text gives its number.
+        UsageError: a step has none or several of its fields set, or it is a turn by hand.
     """
+    for action in _unroll(steps, name):
+        if isinstance(action, Turn):
+            raise UsageError(
+                f"the motion program {name} has turns by hand, which a pan-tilt unit cannot do",
+                "set `driver: manual` under `ptu` in the rig file, or use another motion program",
+            )
+        yield action
+
+
+def unroll_manual_steps(steps: tuple[Step, ...], name: str) -> Iterator[Rest | Turn]:
+    """Yield the rests and turns of a program that a person executes, with repeats expanded.
+
+    Raises:
+        UsageError: a step has none or several of its fields set, or it is a move of a unit.
+    """
+    for action in _unroll(steps, name):
+        if isinstance(action, Move | Home):
+            raise UsageError(
+                f"the motion program {name} has moves of a pan-tilt unit, which a person cannot do",
+                "use a motion program with `rest` and `turn`, for example config/manual/turns.yaml",
+            )
+        yield action
+
+
+def _unroll(
+    steps: tuple[Step, ...], name: str, parent_number: str = ""
+) -> Iterator[Rest | Move | Home | Turn]:
+    """Yield the actions of `steps`; `parent_number`: of the enclosing repeat and a dot, `3.`."""
     for number, step in enumerate(steps, start=1):
-        actions = [
-            value for value in (step.rest, step.move, step.repeat, step.home) if value is not None
-        ]
+        values = (step.rest, step.move, step.repeat, step.home, step.turn)
+        actions = [value for value in values if value is not None]
         if len(actions) != 1:
             set_keys = " and ".join(key for key in STEP_KINDS if getattr(step, key) is not None)
             raise UsageError(
@@ -153,7 +191,7 @@ def unroll_steps(
         if isinstance(action, Repeat):
             inner_number = f"{parent_number}{number}."
             for _ in range(action.times):
-                yield from unroll_steps(action.steps, name, inner_number)
+                yield from _unroll(action.steps, name, inner_number)
         else:
             if isinstance(action, Move) and action.pan_deg is None and action.tilt_deg is None:
                 raise UsageError(
@@ -161,4 +199,15 @@ def unroll_steps(
                     "has no target angle",
                     "give `pan_deg` or `tilt_deg`, or both",
                 )
+            if isinstance(action, Turn):
+                _check_turn(action, f"{parent_number}{number}", name)
             yield action
+
+
+def _check_turn(turn: Turn, number: str, name: str) -> None:
+    if abs(math.hypot(*turn.axis) - 1.0) > 1e-3 or abs(turn.angle_deg) < 30.0:
+        raise UsageError(
+            f"the axis or the angle of the turn in step {number} of the motion program {name} is "
+            "not valid",
+            "give an axis of length 1, such as [0, 0, 1], and an angle of at least 30 degrees",
+        )

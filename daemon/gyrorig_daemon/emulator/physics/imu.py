@@ -244,7 +244,7 @@ class ImuModel:
             return np.asarray(motion.body_rate_rad_s @ truth.gain.T)
         middles = np.arange(len(motion.pan_rad), dtype=np.float64) + 0.5
         time_s: FloatArray = ready_s + self._dt_s * middles
-        force: FloatArray = self._stage.gravity_at_tilt_m_s2(motion.tilt_rad) @ truth.mounting.T
+        force: FloatArray = self._stage.gravity_during(motion) @ truth.mounting.T
         sensor_rad_s: FloatArray = motion.body_rate_rad_s @ truth.gain.T
         if hooks.mount_effects:
             rates: FloatArray = motion.body_rate_rad_s @ truth.mounting.T

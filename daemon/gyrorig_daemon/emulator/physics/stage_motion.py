@@ -80,6 +80,10 @@ class Stage:
         """Return the specific force at rest in the stage frame, shape (count, 3)."""
         return self.gravity_at_tilt_m_s2(self.tilt.angles_rad(start_s, period_s, count))
 
+    def gravity_during(self, motion: StageMotion) -> FloatArray:
+        """Return the specific force at rest during a motion of this stage, (n, 3)."""
+        return self.gravity_at_tilt_m_s2(motion.tilt_rad)
+
     def gravity_at_tilt_m_s2(self, tilt: FloatArray) -> FloatArray:
         """Return the specific force at rest, stage frame, for tilt angles in rad, (n, 3)."""
         in_plane = self.gravity_m_s2 * np.cos(self.tilt_axis_error_rad)
