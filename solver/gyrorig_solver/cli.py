@@ -30,6 +30,7 @@ _COMMANDS = {
     "import": ("import_command", "Convert other measurements to a recording."),
     "check": ("check_command", "Check recordings: losses, clocks, observability."),
     "solve": ("solve_command", "Calibrate boards from recordings."),
+    "temperature": ("temperature_command", "Fit bias and scale against the temperature."),
     "compare": ("compare_command", "Compare a calibration with true values."),
     "explain": ("explain_command", "Find errors in the rig model and their causes."),
     "apply": ("apply_command", "Apply a calibration to a recording or a table."),

@@ -15,7 +15,7 @@ from typing import Literal, Self
 import numpy as np
 import numpy.typing as npt
 
-from gyrorig_protocol.errors import UsageError
+from gyrorig_protocol.errors import InputError, UsageError
 from gyrorig_solver.apply.affine import Output, Readings
 from gyrorig_solver.apply.calibration_file import check_parameters, read_calibration
 from gyrorig_solver.apply.correction import (
@@ -28,6 +28,7 @@ from gyrorig_solver.calibration import CalibrationDocument
 from gyrorig_solver.data import FloatArray
 
 ReadingUnit = Literal["counts", "rad/s", "deg/s"]
+OutsideRange = Literal["error", "nan"]
 READING_UNITS: tuple[ReadingUnit, ...] = ("counts", "rad/s", "deg/s")
 
 
@@ -108,6 +109,7 @@ class Calibration:
         temperature_degc: npt.ArrayLike | None = None,
         specific_force_m_s2: npt.ArrayLike | None = None,
         out: Output | None = None,
+        outside: OutsideRange = "error",
     ) -> Output:
         """Return the true rates of readings, in rad/s, shape (n, 3).
 
@@ -119,8 +121,11 @@ class Calibration:
             specific_force_m_s2: the accelerometer's readings in the sensor's axes, shape
                 (n, 3); needed if g_sensitivity was fitted.
             out: the output array, shape (n, 3), float32 (twice as fast) or float64.
+            outside: what to do at temperatures outside the valid range of the calibration: raise
+                an error, or return nan for these readings.
 
         Raises:
+            InputError: a temperature is outside the valid range.
             UsageError: the readings have another shape; the nominal scale of counts is not
                 known; a temperature or force is missing.
         """
@@ -142,8 +147,24 @@ class Calibration:
                 f"({len(rows)}) differ",
                 "give one temperature for all readings, or one temperature per reading",
             )
+        degc = np.atleast_1d(np.nan if temperature is None else temperature)
+        is_outside = np.isfinite(degc) & ~self.correction.covers(degc)
+        if outside == "error" and is_outside.any():
+            raise InputError(*self.outside_range_texts(degc[is_outside]))
         rates = self.correction.rates(rows, self.scale_of(unit), temperature, force, out)
+        if is_outside.any():
+            rates[np.broadcast_to(is_outside, rates.shape[:1])] = np.nan
         return rates.reshape(values.shape)
+
+    def outside_range_texts(self, temperature_degc: FloatArray) -> tuple[str, str]:
+        """Return what is wrong with temperatures outside the valid range, and what to do."""
+        low, high = self.correction.temperature_range_degc or (-np.inf, np.inf)
+        coldest, warmest = np.nanmin(temperature_degc), np.nanmax(temperature_degc)
+        return (
+            f"the calibration of {self.board} is valid from {low:.1f} to {high:.1f} degC, but the "
+            f"board had {coldest:.1f} to {warmest:.1f} degC",
+            "record the board at rest at these temperatures, and solve again",
+        )
 
     def scale_of(self, unit: ReadingUnit) -> float:
         """Return the nominal scale factor of a reading's unit, in rad/s.

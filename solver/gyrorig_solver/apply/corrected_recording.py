@@ -44,7 +44,8 @@ class RecordingSummary:
     messages: int
     left_out: int  # saturated or repeated samples
     outside: int  # rates above the range of the calibration's recordings
-    outside_warmth: int  # temperatures outside their range
+    outside_warmth: int  # temperatures outside their range, of a constant bias
+    outside_temperature: int  # samples left out: outside the range of a bias with temperature
     losses: tuple[str, ...]  # damaged parts of the recording, missing in the copy
 
 
@@ -94,6 +95,7 @@ def apply_to_recording(
         left_out=int(np.count_nonzero(~samples.usable)),
         outside=builder.rates_outside,
         outside_warmth=builder.temperatures_outside,
+        outside_temperature=builder.left_out,
         losses=tuple(loss.text for loss in copied.losses),
     )
 
@@ -165,6 +167,24 @@ class _MessageBuilder:
         self._covariance = _rate_covariance(calibration)
         self._die_temperature = _die_temperature(samples, calibration.correction)
         self._frame_id = f"{samples.board}/{calibration.frame}"
+        self._covered = self._valid_temperatures()
+        self.left_out = int(np.count_nonzero(~self._covered & samples.usable))
+
+    def _valid_temperatures(self) -> BoolArray:
+        """Return which samples were taken at a temperature of the valid range, (n,).
+
+        Raises:
+            InputError: none was.
+        """
+        samples, correction = self._samples, self._calibration.correction
+        if self._die_temperature is None:
+            return np.ones(samples.time_s.size, dtype=np.bool_)
+        rise = self._die_temperature.die_temperature_rise(samples.time_s)
+        degc = rise + correction.reference_degc
+        covered = correction.covers(degc)
+        if not covered.any():
+            raise InputError(*self._calibration.outside_range_texts(degc))
+        return covered
 
     def batches(self) -> Iterator[MessageBatch]:
         """Yield the messages, in the order of their arrival."""
@@ -174,7 +194,7 @@ class _MessageBuilder:
         arrival_ns = host.counts
         for start in range(0, self._samples.number.size, SAMPLES_PER_BATCH):
             rows = slice(start, start + SAMPLES_PER_BATCH)
-            good = self._samples.usable[rows]
+            good = self._samples.usable[rows] & self._covered[rows]
             if good.any():
                 arrived = arrival_ns[rows][good].astype(np.int64) + self._samples.origin_ns
                 yield self._batch(rows, good, arrived)
@@ -200,6 +220,7 @@ class _MessageBuilder:
         self.rates_outside += int(np.sum(np.abs(rates).max(axis=1) > self._limit_rad_s))
         if (
             temperature_degc is not None
+            and die_degc is None
             and self._temperature_range_degc is not None
             and samples.has_absolute_temperature
         ):

@@ -20,7 +20,7 @@ import numpy as np
 
 from gyrorig_protocol.errors import InputError, MachineError, UsageError
 from gyrorig_solver.apply.board_calibration import Calibration, ReadingUnit
-from gyrorig_solver.data import FloatArray
+from gyrorig_solver.data import BoolArray, FloatArray
 from gyrorig_solver.data.text_table import check_text_table
 
 RATE_COLUMNS = ("rate_x_rad_s", "rate_y_rad_s", "rate_z_rad_s")
@@ -54,6 +54,7 @@ class TableSummary:
     rows: int
     outside: int  # rates above the range of the calibration's recordings
     without: int  # rows with a reading that is not a number; their rates stay empty
+    outside_range: int = 0  # rows at temperatures outside the valid range; their rates stay empty
 
 
 def apply_to_table(
@@ -133,7 +134,7 @@ class _TableWriter:
                 "apply the calibration to the original table",
             )
         target.write(header.rstrip("\r\n") + delimiter + delimiter.join(added) + "\n")
-        rows = outside = without = 0
+        rows = outside = without = outside_range = 0
         row_text = delimiter.join([_RATE_FORMAT] * 3 + (["%.9f"] if self._columns.time else []))
         empty = delimiter * (len(added) - 1)
         for block in _blocks(lines):
@@ -143,7 +144,9 @@ class _TableWriter:
             outside += int(
                 np.sum(np.abs(corrected[~is_invalid, :3]).max(axis=1) > self._limit_rad_s)
             )
-            without += int(is_invalid.sum())
+            is_outside = self._is_outside_range(values)
+            outside_range += int(is_outside.sum())
+            without += int((is_invalid & ~is_outside).sum())
             cells = [row_text % tuple(row) for row in corrected.tolist()]
             for at in np.flatnonzero(is_invalid).tolist():
                 cells[at] = empty
@@ -158,7 +161,21 @@ class _TableWriter:
                 f"the table {self._name} has a header, but no rows",
                 "give a table that contains readings",
             )
-        return TableSummary(rows, outside, without)
+        if outside_range == rows:
+            low, high = self._calibration.correction.temperature_range_degc or (np.nan, np.nan)
+            raise InputError(
+                f"all temperatures in the table {self._name} are outside {low:.1f} to {high:.1f} "
+                "degC, the valid range of the calibration",
+                "record the board at rest at these temperatures, and solve again",
+            )
+        return TableSummary(rows, outside, without, outside_range)
+
+    def _is_outside_range(self, values: FloatArray) -> BoolArray:
+        """Return the rows at temperatures outside the valid range, (n,)."""
+        if self._columns.temperature is None:
+            return np.zeros(len(values), dtype=np.bool_)
+        covered = self._calibration.correction.covers(values[:, 3])
+        return np.asarray(np.isfinite(values[:, 3]) & ~covered, dtype=np.bool_)
 
     def _column_indices(self, names: Sequence[str]) -> list[int]:
         """Return the indices of the columns to read."""
@@ -220,7 +237,9 @@ class _TableWriter:
         """Return the rates, and the times if requested, shape (n, 3) or (n, 4)."""
         columns = self._columns
         temperature = values[:, 3] if columns.temperature is not None else None
-        rates = self._calibration.rates(values[:, :3], columns.unit, temperature_degc=temperature)
+        rates = self._calibration.rates(
+            values[:, :3], columns.unit, temperature_degc=temperature, outside="nan"
+        )
         if columns.time is None:
             return rates
         times = self._calibration.times(values[:, -1] * TIME_UNITS_S[columns.time_unit])

@@ -1,10 +1,10 @@
 """The inverse sensor model: from readings of a board to true rates.
 
 What to use when: `build_correction` for a document; `Correction.rates` for readings. The model
-is that of the document, with u = G omega, t the temperature above the reference temperature
-and f the specific force:
+is that of the document, with u = G omega, k and s the changes of bias and scale with the
+temperature T (polynomials or splines), and f the specific force:
 
-    y = u (1 + s t + q u + c u^2) + a |u| + b + k1 t + k2 t^2 + k3 t^3 + K f
+    y = u (1 + s(T) + q u + c u^2) + a |u| + b + k(T) + K f
 
 It is solved for u. Then omega = G^-1 u in the stage's axes, or (S T)^-1 u in the
 orthogonalised axes of the sensor.
@@ -21,8 +21,8 @@ import numpy as np
 from gyrorig_protocol.errors import InputError, UsageError
 from gyrorig_solver.apply.affine import Output, Readings, transform_readings
 from gyrorig_solver.apply.calibration_file import APPLIED_PARAMETERS, BASE_PARAMETERS
-from gyrorig_solver.calibration import CalibrationDocument, Parameter
-from gyrorig_solver.data import FloatArray
+from gyrorig_solver.calibration import CalibrationDocument, Parameter, bias_curve, scale_curve
+from gyrorig_solver.data import BoolArray, FloatArray, TemperatureCurve
 
 Frame = Literal["stage", "sensor"]
 FRAMES: tuple[Frame, ...] = ("stage", "sensor")
@@ -31,7 +31,8 @@ FRAMES: tuple[Frame, ...] = ("stage", "sensor")
 NONLINEARITY_CAUSES = ("scale_quadratic", "scale_cubic", "scale_asymmetry")
 THERMAL_BIAS_ORDERS = ("slope", "square", "cube")
 LAG_NOTE = (
-    "thermal_bias.lag is not applied, because the die is assumed to have the measured temperature"
+    "the lag of the die temperature is not applied, because the die is assumed to have the "
+    "measured temperature"
 )
 REFERENCE_PARAMETER = "reference"  # thermal_bias.reference: the reference temperature
 _NEWTON_STEPS = 4  # the non-linearity is below a tenth: three steps reach the last digit
@@ -51,9 +52,8 @@ class Correction:
         FloatArray  # (3, 3), from bias-free readings in the sensor's axes to rates in the frame
     )
     bias_rad_s: FloatArray  # (3,)
-    thermal_bias: FloatArray  # (orders, 3), rad/s/K^p; no rows without the cause
-    thermal_scale: FloatArray  # (3,), 1/K
-    reference_degc: float  # reference temperature; nan without thermal causes
+    bias_curve: TemperatureCurve | None  # change of the bias, rad/s
+    scale_curve: TemperatureCurve | None  # relative change of the scale factor
     quadratic: FloatArray  # (3,)
     cubic: FloatArray  # (3,)
     asymmetry: FloatArray  # (3,)
@@ -64,7 +64,28 @@ class Correction:
     @property
     def needs_temperature(self) -> bool:
         """Whether rates depend on the temperature."""
-        return bool(self.thermal_bias.any() or self.thermal_scale.any())
+        return bool(self._curves)
+
+    @property
+    def _curves(self) -> list[TemperatureCurve]:
+        curves = (self.bias_curve, self.scale_curve)
+        return [curve for curve in curves if curve is not None and not curve.is_zero]
+
+    @property
+    def reference_degc(self) -> float:
+        """The reference temperature; nan if rates do not depend on the temperature."""
+        return self._curves[0].reference_degc if self._curves else float("nan")
+
+    @property
+    def temperature_range_degc(self) -> tuple[float, float] | None:
+        """The temperatures to which the correction can be applied; None: not limited."""
+        return self._curves[0].range_degc if self._curves else None
+
+    def covers(self, temperature_degc: FloatArray) -> BoolArray:
+        """Return at which temperatures the correction is valid, shape (n,)."""
+        degc = np.asarray(temperature_degc, dtype=np.float64)
+        covered = [curve.covers(degc) for curve in self._curves]
+        return np.asarray(np.all([np.ones(degc.shape, dtype=np.bool_), *covered], axis=0))
 
     @property
     def needs_force(self) -> bool:
@@ -74,8 +95,9 @@ class Correction:
     @property
     def is_nonlinear(self) -> bool:
         """Whether the reading is a non-linear function of the rate."""
-        coefficients = (self.quadratic, self.cubic, self.asymmetry, self.thermal_scale)
-        return any(bool(values.any()) for values in coefficients)
+        coefficients = (self.quadratic, self.cubic, self.asymmetry)
+        varies = self.scale_curve is not None and not self.scale_curve.is_zero
+        return varies or any(bool(values.any()) for values in coefficients)
 
     @property
     def is_affine(self) -> bool:
@@ -124,31 +146,29 @@ class Correction:
         rates = np.empty((count, 3)) if out is None else out
         for start in range(0, count, _BLOCK_SAMPLES):
             rows = slice(start, min(start + _BLOCK_SAMPLES, count))
-            excess_degc = self._temperature_above_reference(temperature_degc, rows)
+            degc = self._temperatures(temperature_degc, rows)
             reading = readings[rows] * scale_rad_s - self.bias_rad_s
-            for power, coefficient in enumerate(self.thermal_bias, start=1):
-                reading -= excess_degc**power * coefficient
+            if self.bias_curve is not None:
+                reading -= self.bias_curve.change(degc)
             if specific_force_m_s2 is not None:
                 reading -= specific_force_m_s2[rows] @ self.force.T
-            rates[rows] = self._invert_nonlinearity(reading, excess_degc) @ self.inverse.T
+            rates[rows] = self._invert_nonlinearity(reading, degc) @ self.inverse.T
         return rates
 
-    def _temperature_above_reference(
-        self, temperature_degc: FloatArray | float | None, rows: slice
-    ) -> FloatArray:
-        """Return the temperatures above the reference, shape (n, 1) or (1, 1)."""
+    def _temperatures(self, temperature_degc: FloatArray | float | None, rows: slice) -> FloatArray:
+        """Return the temperatures of rows, shape (n,) or (1,)."""
         if temperature_degc is None or not self.needs_temperature:
-            return np.zeros((1, 1))
+            return np.full(1, self.reference_degc)
         temperatures = np.asarray(temperature_degc, dtype=np.float64)
-        return np.atleast_1d(temperatures if temperatures.ndim == 0 else temperatures[rows])[
-            :, None
-        ] - (self.reference_degc)
+        return np.atleast_1d(temperatures if temperatures.ndim == 0 else temperatures[rows])
 
-    def _invert_nonlinearity(self, reading: FloatArray, excess_degc: FloatArray) -> FloatArray:
-        """Solve reading = u (1 + s dT + q u + c u^2) + a |u| for u, by Newton's method."""
+    def _invert_nonlinearity(self, reading: FloatArray, degc: FloatArray) -> FloatArray:
+        """Solve reading = u (1 + s(T) + q u + c u^2) + a |u| for u, by Newton's method."""
         if not self.is_nonlinear:
             return reading
-        linear_factor = 1.0 + self.thermal_scale * excess_degc
+        linear_factor = np.ones((1, 3))
+        if self.scale_curve is not None:
+            linear_factor = 1.0 + self.scale_curve.change(degc)
         u = reading / linear_factor
         for _ in range(_NEWTON_STEPS):
             predicted = u * (linear_factor + self.quadratic * u + self.cubic * u * u)
@@ -179,8 +199,8 @@ def build_correction(calibration: CalibrationDocument, frame: Frame = "stage") -
     bias = _known_values(calibration, "bias", name)
     inverse = _inverse_gain(calibration, frame, name)
     not_applied: list[str] = []
-    thermal = _thermal_terms(calibration, not_applied)
-    lag_s = float(_optional_values(calibration, "thermal_bias.lag")[0]) if thermal[0].size else 0.0
+    curves = _temperature_curves(calibration, not_applied)
+    lag_s = _lag_s(calibration, curves[0])
     not_applied += [LAG_NOTE] if lag_s else []
     force, force_notes = _g_sensitivity(calibration)
     not_applied += force_notes
@@ -195,9 +215,8 @@ def build_correction(calibration: CalibrationDocument, frame: Frame = "stage") -
         frame=frame,
         inverse=inverse,
         bias_rad_s=bias,
-        thermal_bias=thermal[0],
-        thermal_scale=thermal[1],
-        reference_degc=thermal[2],
+        bias_curve=curves[0],
+        scale_curve=curves[1],
         quadratic=_optional_values(calibration, "scale_quadratic"),
         cubic=_optional_values(calibration, "scale_cubic"),
         asymmetry=_optional_values(calibration, "scale_asymmetry"),
@@ -248,13 +267,14 @@ def build_bias_correction(calibration: CalibrationDocument) -> Correction:
             "three axes, and solve again",
         )
     zeros = np.zeros(3)
+    curve, _ = _temperature_curves(calibration, [])
     return Correction(
         frame="sensor",
         inverse=np.eye(3),
         bias_rad_s=_known_values(calibration, "bias", name),
-        thermal_bias=np.zeros((0, 3)),
-        thermal_scale=zeros,
-        reference_degc=float("nan"),
+        bias_curve=curve,
+        scale_curve=None,
+        lag_s=_lag_s(calibration, curve),
         quadratic=zeros,
         cubic=zeros,
         asymmetry=zeros,
@@ -263,10 +283,42 @@ def build_bias_correction(calibration: CalibrationDocument) -> Correction:
     )
 
 
-def _thermal_terms(
+def _lag_s(calibration: CalibrationDocument, curve: TemperatureCurve | None) -> float:
+    """Return the lag of the die temperature; zero without a curve of the bias."""
+    if curve is None:
+        return 0.0
+    if calibration.temperature is not None:
+        return calibration.temperature.lag_s
+    return float(_optional_values(calibration, "thermal_bias.lag")[0])
+
+
+def _temperature_curves(
     calibration: CalibrationDocument, not_applied: list[str]
-) -> tuple[FloatArray, FloatArray, float]:
-    """Return the bias polynomial, the slope of the scale and the reference temperature."""
+) -> tuple[TemperatureCurve | None, TemperatureCurve | None]:
+    """Return the curves of bias and scale: of the section `temperature`, else of the causes."""
+    record = calibration.temperature
+    bias, scale = bias_curve(record), scale_curve(record)
+    reference = _reference_degc(calibration)
+    orders = _thermal_bias_orders(calibration)
+    slope = _optional_values(calibration, "thermal_scale")
+    if reference is None:
+        if orders or slope.any():
+            not_applied.append(
+                "thermal causes are not applied, because the calibration has no reference "
+                "temperature. Solve again with this version"
+            )
+        return bias, scale
+    low_high = calibration.validity.temperature_degc
+    valid_range = None if low_high is None else (low_high[0], low_high[1])
+    if bias is None and orders:
+        bias = TemperatureCurve.polynomial(reference, np.array(orders), valid_range)
+    if scale is None and slope.any():
+        scale = TemperatureCurve.polynomial(reference, slope[None], valid_range)
+    return bias, scale
+
+
+def _thermal_bias_orders(calibration: CalibrationDocument) -> list[FloatArray]:
+    """Return the coefficients of the cause `thermal_bias`, the lowest order first."""
     orders: list[FloatArray] = []
     for order in THERMAL_BIAS_ORDERS:
         parameter = calibration.parameters.get(f"thermal_bias.{order}")
@@ -277,26 +329,18 @@ def _thermal_terms(
         if parameter is None:
             break
         orders.append(_values_or_zero(parameter))
-    scale = _optional_values(calibration, "thermal_scale")
-    reference = next(
-        (
-            parameter.value
-            for cause in ("thermal_bias", "thermal_scale")
-            if (parameter := calibration.parameters.get(f"{cause}.{REFERENCE_PARAMETER}"))
-            is not None
-        ),
-        None,
-    )
-    polynomial = np.array(orders).reshape(-1, 3)
-    reference_value = reference[0] if isinstance(reference, list) and reference else reference
-    if reference_value is None or isinstance(reference_value, list):
-        if orders or scale.any():
-            not_applied.append(
-                "thermal causes are not applied, because the calibration has no reference "
-                "temperature. Solve again with this version"
-            )
-        return np.zeros((0, 3)), np.zeros(3), float("nan")
-    return polynomial, scale, reference_value
+    return orders
+
+
+def _reference_degc(calibration: CalibrationDocument) -> float | None:
+    """Return the reference temperature of the thermal causes, None if there is none."""
+    for cause in ("thermal_bias", "thermal_scale"):
+        parameter = calibration.parameters.get(f"{cause}.{REFERENCE_PARAMETER}")
+        if parameter is not None:
+            value = parameter.value
+            first = value[0] if isinstance(value, list) and value else value
+            return None if isinstance(first, list) else first
+    return None
 
 
 def _g_sensitivity(calibration: CalibrationDocument) -> tuple[FloatArray, list[str]]:

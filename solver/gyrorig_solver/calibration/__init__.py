@@ -24,6 +24,11 @@ from gyrorig_solver.calibration.calibration_store import (
     create_store,
 )
 from gyrorig_solver.calibration.sensor_profiles import find_profile
+from gyrorig_solver.calibration.temperature_record import (
+    TemperatureRecord,
+    bias_curve,
+    scale_curve,
+)
 
 __all__ = [
     "STORE_FILE",
@@ -32,9 +37,12 @@ __all__ = [
     "CalibrationStore",
     "Parameter",
     "StoredVersion",
+    "TemperatureRecord",
     "UnitPriorRecord",
+    "bias_curve",
     "calibration_as_mapping",
     "create_store",
     "find_profile",
     "parse_calibration",
+    "scale_curve",
 ]

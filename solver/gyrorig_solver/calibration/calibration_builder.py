@@ -35,9 +35,15 @@ from gyrorig_solver.calibration.calibration_document import (
     Units,
     Validity,
 )
+from gyrorig_solver.calibration.temperature_record import (
+    CurveRecord,
+    HysteresisRecord,
+    TemperaturePoint,
+    TemperatureRecord,
+)
 from gyrorig_solver.calibration.verdict import judge_fit, profile_warnings
 from gyrorig_solver.data import FloatArray
-from gyrorig_solver.estimate import GyroFit
+from gyrorig_solver.estimate import GyroFit, TemperatureFit
 from gyrorig_solver.estimate.gyro_fit import RecordingFit
 from gyrorig_solver.model import PARAMETER_GROUPS, LevelEstimate, factorise
 
@@ -94,6 +100,49 @@ def build_calibration(
             temperature_degc=finite_values(fit.temperature_range_degc),
             config_hash=origin.board.config.config_hash,
         ),
+        temperature=None if fit.temperature is None else temperature_record(fit),
+    )
+
+
+def temperature_record(fit: GyroFit) -> TemperatureRecord | None:
+    """Return the document's section on the bias against the temperature."""
+    curve_fit = fit.temperature
+    if curve_fit is None:
+        return None
+    hysteresis = curve_fit.hysteresis
+    return TemperatureRecord(
+        source=fit.reference,
+        reference_degc=curve_fit.reference_degc,
+        range_degc=list(curve_fit.range_degc),
+        bias=curve_record(curve_fit, "rad/s"),
+        lag_s=curve_fit.lag_s,
+        lag_std_s=curve_fit.lag_std_s or None,
+        hysteresis=None
+        if hysteresis is None
+        else HysteresisRecord(
+            width=hysteresis.width.tolist(),
+            std=hysteresis.std.tolist(),
+            p_value=hysteresis.p_value,
+            fitted=hysteresis.is_fitted,
+        ),
+        repeatability=None if np.isnan(curve_fit.run_std).any() else curve_fit.run_std.tolist(),
+        points=[
+            TemperaturePoint(round(point.temperature_degc, 3), point.value.tolist(), point.heating)
+            for point in curve_fit.points
+        ],
+    )
+
+
+def curve_record(curve_fit: TemperatureFit, unit: str) -> CurveRecord:
+    """Return the document's entry of one curve."""
+    curve = curve_fit.curve
+    return CurveRecord(
+        kind="spline" if curve.knots_degc.size else "polynomial",
+        unit=unit,
+        coefficients=curve.coefficients.tolist(),
+        covariance=curve_fit.covariance.tolist(),
+        knots_degc=curve.knots_degc.tolist(),
+        knot_coefficients=curve.knot_coefficients.tolist(),
     )
 
 

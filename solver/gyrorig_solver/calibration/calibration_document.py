@@ -10,6 +10,7 @@ from typing import Annotated, Any, Literal
 import msgspec
 
 from gyrorig_protocol.documents import dump_yaml, parse_result_document
+from gyrorig_solver.calibration.temperature_record import TemperatureRecord
 
 SCHEMA = "gyrorig/calibration/1"
 MODEL = "y = S T M omega + b"
@@ -263,6 +264,7 @@ class CalibrationDocument(_DocumentPart, frozen=True, kw_only=True, omit_default
     quality: Quality
     trust: Trust
     validity: Validity
+    temperature: TemperatureRecord | None = None  # bias and scale against temperature
     uncertainty: UncertaintyRecord | None = None  # of a fit to a pan-tilt unit
     unit_prior: UnitPriorRecord | None = None  # None: the prior sizes of the table
     findings: FindingsReference | None = None

@@ -7,6 +7,7 @@ from gyrorig_solver.calibration.calibration_wording import (
     missing_value_text,
     next_step,
     shown_entries,
+    temperature_sentences,
     verdict_sentence,
     white_noise_units,
 )
@@ -50,6 +51,10 @@ def calibration_summary(calibration: CalibrationDocument) -> str:
             f"  common time base      {plural(quality.boards_on_one_clock, 'board')} on one bus, "
             f"times changed by {quality.clock_moved_s * 1e6:.1f} us rms"
         )
+    if calibration.temperature is not None:
+        sentences = temperature_sentences(calibration.temperature)
+        labels = ["temperature", *[""] * len(sentences)]
+        lines += [f"  {label:<21} {text}" for label, text in zip(labels, sentences, strict=False)]
     lines += _recordings(calibration)
     for reason in calibration.trust.reasons:
         lines.append(f"  ! {reason}")

@@ -13,12 +13,14 @@ from gyrorig_solver.calibration.calibration_document import (
     LevelRecord,
     Parameter,
 )
+from gyrorig_solver.calibration.temperature_record import CurveRecord, TemperatureRecord
 from gyrorig_solver.model import (
     PARAMETER_GROUPS,
     ParameterGroup,
     cause_display_unit,
     format_quantity,
     format_short,
+    plural,
 )
 from gyrorig_solver.model.catalogue import catalogue
 
@@ -200,3 +202,53 @@ def level_sentence(level: LevelRecord) -> str:
         "deg (minus the board's mounting angle about x, which it cannot separate) and a pan axis "
         f"that leans {right} deg to the right and {forward} deg forward."
     )
+
+
+def temperature_sentences(record: TemperatureRecord) -> list[str]:
+    """Return what a calibration says of bias and scale against the temperature."""
+    low, high = record.range_degc
+    sentences = []
+    for quantity, curve in (("bias", record.bias), ("scale factor", record.scale)):
+        if curve is not None:
+            sentences.append(
+                f"The {quantity} follows the temperature by a {_curve_kind(curve)}, valid from "
+                f"{low:.1f} to {high:.1f} degC."
+            )
+    if record.lag_std_s is not None:
+        place = "The die lags" if record.lag_s < 0.0 else "The thermometer lags"
+        sentences.append(
+            f"{place} by {abs(record.lag_s):.0f} ± {record.lag_std_s:.0f} s (standard uncertainty)."
+        )
+    hysteresis = record.hysteresis
+    if hysteresis is not None and hysteresis.fitted:
+        widths = [
+            " ± ".join(format_quantity(math.degrees(width), math.degrees(std)))
+            for width, std in zip(hysteresis.width, hysteresis.std, strict=True)
+        ]
+        sentences.append(
+            f"Hysteresis: the bias while heating minus that while cooling is {', '.join(widths)} "
+            "deg/s (x, y, z). The correction uses the middle."
+        )
+    elif hysteresis is not None:
+        widest = math.degrees(max(abs(w) + 2.0 * s for w, s in
+                                  zip(hysteresis.width, hysteresis.std, strict=True)))  # fmt: skip
+        sentences.append(
+            f"No hysteresis is significant; it is smaller than {format_short(widest)} deg/s."
+        )
+    elif record.bias is not None and record.lag_std_s is not None:
+        sentences.append(
+            "The data do not show a hysteresis, because no recording heats and cools the board."
+        )
+    if record.repeatability is not None:
+        values = [math.degrees(value) for value in record.repeatability]
+        sentences.append(
+            f"From one measurement to the next, the bias changes by {axes_text(values)} deg/s "
+            "(standard deviation)."
+        )
+    return sentences
+
+
+def _curve_kind(curve: CurveRecord) -> str:
+    if curve.kind == "spline":
+        return f"cubic spline with {plural(len(curve.knots_degc), 'knot')}"
+    return f"polynomial of order {len(curve.coefficients)}"

@@ -172,6 +172,10 @@ def _apply_to_recording(
         )
     if result.outside:
         terminal.print_result(_rate_remark(correction, result.outside, result.messages, "samples"))
+    if result.outside_temperature:
+        terminal.print_result(
+            _temperature_remark(correction, result.outside_temperature, "samples")
+        )
     temperature_range = correction.document.validity.temperature_degc
     if result.outside_warmth and temperature_range is not None:
         low, high = temperature_range
@@ -194,11 +198,22 @@ def _apply_to_table(
 ) -> dict[str, Any]:
     result = apply_to_table(correction, source, out, columns)
     terminal.print_result(f"{source.name}: {result.rows} rows")
+    if result.outside_range:
+        terminal.print_result(_temperature_remark(correction, result.outside_range, "rows"))
     if result.without:
         terminal.print_result(f"  remark: {result.without} rows have no reading and get no rate")
     if result.outside:
         terminal.print_result(_rate_remark(correction, result.outside, result.rows, "rows"))
     return asdict(result)
+
+
+def _temperature_remark(correction: Calibration, count: int, unit: str) -> str:
+    """Return a remark on samples outside the temperatures of the calibration."""
+    low, high = correction.correction.temperature_range_degc or (math.nan, math.nan)
+    return (
+        f"  remark: {count} {unit} get no rate, because their temperatures are outside "
+        f"{low:.1f} to {high:.1f} degC, the valid range of the calibration"
+    )
 
 
 def _rate_remark(correction: Calibration, outside: int, total: int, unit: str) -> str:

@@ -10,6 +10,7 @@ What to use when:
 - `fitted_term` and `cascade` for causes in a fit.
 - `nuisance_projector` for score tests at a fit.
 - `observability` for what the data determine; `gyro_fit` for the result of every method.
+- `temperature` for the bias against the temperature.
 - `noise` for the noise model and outliers, `linear` for the normal equations, `paper` for the
   method of the paper.
 """
@@ -70,6 +71,7 @@ from gyrorig_solver.estimate.parameter_layout import (
 from gyrorig_solver.estimate.series import Series, choose_grids
 from gyrorig_solver.estimate.session_fit import SessionFit
 from gyrorig_solver.estimate.shared_parameters import is_unit_cause
+from gyrorig_solver.estimate.temperature.temperature_fit import TemperatureFit, fit_temperature
 from gyrorig_solver.estimate.trust_region import Convergence
 from gyrorig_solver.estimate.turn_fit import fit_turns
 from gyrorig_solver.estimate.typical_board import TYPICAL_MOUNT, expected_estimate
@@ -106,6 +108,7 @@ __all__ = [
     "SessionFit",
     "SignalFunction",
     "Spectrum",
+    "TemperatureFit",
     "WhitenedSignals",
     "analyse_observability",
     "bin_spectrum",
@@ -119,6 +122,7 @@ __all__ = [
     "fit_gravity",
     "fit_likelihood",
     "fit_motion",
+    "fit_temperature",
     "fit_turns",
     "free_term",
     "is_unit_cause",

@@ -12,6 +12,7 @@ import numpy as np
 from gyrorig_solver.data import BoolArray, FloatArray
 from gyrorig_solver.data.clocks.clock_trace import ClockTrace
 from gyrorig_solver.estimate.rest_to_rest import CrossCheck
+from gyrorig_solver.estimate.temperature.temperature_fit import TemperatureFit
 from gyrorig_solver.model import LevelEstimate
 
 
@@ -151,6 +152,7 @@ class GyroFit:
     gravity_moves: GravityMoves | None = None  # if the reference is gravity
     causes: tuple[FittedParameter, ...] = ()
     level: LevelEstimate | None = None  # if the recording has an accelerometer and tilts
+    temperature: TemperatureFit | None = None  # the bias against the temperature
     recordings: tuple[RecordingFit, ...] = ()  # in the order of time, if there are several
 
     @property

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gyrorig_protocol.errors import UsageError
-from gyrorig_solver.data import FloatArray, IntArray
+from gyrorig_solver.data import FloatArray, IntArray, TemperatureCurve
 from gyrorig_solver.export.export_source import ExportSource, printable_line, quoted
 
 _INT16_LIMIT = 32768
@@ -100,7 +100,7 @@ def c_header(source: ExportSource, name: str | None = None) -> str:
         *_float_function(stem, matrix, offset),
         *(
             _float_function_with_temperature(source, stem, scale)
-            if correction.thermal_bias.size
+            if correction.needs_temperature
             else ()
         ),
         *_fixed_function(stem, fixed),
@@ -140,11 +140,12 @@ def _header_comment(
         f"{fixed.error_bound_rad_s(limit):.2g} rad/s.",
         f"The fixed-point function can overflow if a count is outside +-{limit}.",
         f"{stem}_self_test returns 0 if both functions give the expected results.",
-        *source.omission_lines(("thermal_bias",)),
+        *source.omission_lines(("thermal_bias", "thermal_scale", "temperature.scale")),
     ]
-    if source.correction.thermal_bias.size:
+    if source.correction.needs_temperature:
         lines.append(
-            f"{stem}_rate_float_at also takes the temperature; the other functions are valid at "
+            f"{stem}_rate_float_at also takes the temperature, and returns 1 if it is outside the "
+            "valid range; the other functions are valid at "
             f"{source.correction.reference_degc:.2f} degC"
             + (
                 ""
@@ -199,40 +200,80 @@ def _float_function(stem: str, matrix: FloatArray, offset: FloatArray) -> Iterat
 def _float_function_with_temperature(
     source: ExportSource, stem: str, scale: float
 ) -> Iterator[str]:
-    """Yield the function with a temperature: the bias polynomial by Horner's rule."""
+    """Yield the function with a temperature: polynomials by Horner's rule, and cubic bends."""
     correction = source.correction
-    orders = correction.thermal_bias / scale
-    yield f"static inline void {stem}_rate_float_at(const int32_t counts[3],"
-    yield "                                         float temperature_degc, float rate_rad_s[3])"
+    curves = [
+        (name, curve, factor)
+        for name, curve, factor in (
+            ("bias", correction.bias_curve, 1.0 / scale),
+            ("gain", correction.scale_curve, 1.0),
+        )
+        if curve is not None and not curve.is_zero
+    ]
+    low, high = correction.temperature_range_degc or (-math.inf, math.inf)
+    yield "/* Returns 1 if the temperature is outside the valid range, and then uses its end. */"
+    yield f"static inline int {stem}_rate_float_at(const int32_t counts[3],"
+    yield "                                        float temperature_degc, float rate_rad_s[3])"
     yield "{"
-    yield f"    static const float bias[{len(orders)}][3] = {{  /* counts/K, /K^2, ... */"
-    yield from (f"        {{{', '.join(_float_literal(v) for v in row)}}}," for row in orders)
-    yield "    };"
+    for name, curve, factor in curves:
+        yield from _curve_tables(name, curve, factor)
     yield "    static const float A[3][3] = {"
     yield from (
         f"        {{{', '.join(_float_literal(v) for v in row)}}},"
         for row in scale * correction.inverse
     )
     yield "    };"
-    offset = ", ".join(_float_literal(v) for v in correction.offset())
-    yield f"    static const float c[3] = {{{offset}}};"
-    reference = _float_literal(correction.reference_degc)
-    yield f"    const float warmth = temperature_degc - {reference};"
+    offset = ", ".join(_float_literal(v) for v in correction.bias_rad_s / scale)
+    yield f"    static const float b[3] = {{{offset}}};  /* counts */"
     yield "    float y[3];"
+    yield "    float degc = temperature_degc, warmth;"
     yield "    int i, k;"
     yield ""
+    if math.isfinite(low):
+        yield f"    if (degc < {_float_literal(low)}) degc = {_float_literal(low)};"
+        yield f"    if (degc > {_float_literal(high)}) degc = {_float_literal(high)};"
+    yield f"    warmth = degc - {_float_literal(correction.reference_degc)};"
     yield "    for (i = 0; i < 3; i++) {"
-    yield "        float drift = 0.0f;"
-    yield f"        for (k = {len(orders) - 1}; k >= 0; k--) {{"
-    yield "            drift = (drift + bias[k][i]) * warmth;"
-    yield "        }"
-    yield "        y[i] = (float)counts[i] - drift;"
+    yield "        float bias = b[i], gain = 1.0f, sum;"
+    yield ""
+    for name, curve, _ in curves:
+        yield "        sum = 0.0f;"
+        if len(curve.coefficients):
+            yield f"        for (k = {len(curve.coefficients) - 1}; k >= 0; k--) {{"
+            yield f"            sum = (sum + {name}_orders[k][i]) * warmth;"
+            yield "        }"
+        if curve.knots_degc.size:
+            yield f"        for (k = 0; k < {curve.knots_degc.size}; k++) {{"
+            yield f"            const float rise = degc - {name}_knots[k];"
+            yield f"            sum += {name}_bends[k][i]"
+            yield "                * ((rise > 0.0f ? rise * rise * rise : 0.0f)"
+            yield f"                   - {name}_zeros[k]);"
+            yield "        }"
+        yield f"        {name} += sum;"
+    yield "        y[i] = ((float)counts[i] - bias) / gain;"
     yield "    }"
     yield "    for (i = 0; i < 3; i++) {"
-    yield "        rate_rad_s[i] = A[i][0] * y[0] + A[i][1] * y[1] + A[i][2] * y[2] + c[i];"
+    yield "        rate_rad_s[i] = A[i][0] * y[0] + A[i][1] * y[1] + A[i][2] * y[2];"
     yield "    }"
+    yield "    return degc != temperature_degc;"
     yield "}"
     yield ""
+
+
+def _curve_tables(name: str, curve: TemperatureCurve, factor: float) -> Iterator[str]:
+    """Yield the tables of a curve, its values multiplied by a factor."""
+    tables = [(f"{name}_orders", curve.coefficients), (f"{name}_bends", curve.knot_coefficients)]
+    for table, rows in tables:
+        if len(rows):
+            yield f"    static const float {table}[{len(rows)}][3] = {{"
+            for row in rows * factor:
+                yield f"        {{{', '.join(_float_literal(v) for v in row)}}},"
+            yield "    };"
+    if curve.knots_degc.size:
+        zeros = np.maximum(curve.reference_degc - curve.knots_degc, 0.0) ** 3
+        for table, values in ((f"{name}_knots", curve.knots_degc), (f"{name}_zeros", zeros)):
+            text = ", ".join(_float_literal(v) for v in values)
+            yield f"    static const float {table}[{len(values)}] = {{{text}}};"
 
 
 def _fixed_function(stem: str, fixed: FixedPoint) -> Iterator[str]:

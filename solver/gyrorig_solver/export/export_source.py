@@ -11,9 +11,9 @@ import numpy as np
 
 from gyrorig_protocol.errors import InputError
 from gyrorig_solver.apply import Calibration, Correction, Frame
-from gyrorig_solver.apply.correction import unobservable_text
+from gyrorig_solver.apply.correction import build_bias_correction, unobservable_text
 from gyrorig_solver.calibration import calibration_document
-from gyrorig_solver.data import FloatArray
+from gyrorig_solver.data import FloatArray, TemperatureCurve
 
 UNIT_AXES = (
     "the stage's axes during the calibration: x is the tilt axis, y points forward (roll), z is "
@@ -86,6 +86,15 @@ class ExportSource:
         return self.calibration.correction
 
     @property
+    def bias_curve(self) -> TemperatureCurve | None:
+        """The bias against the temperature, None if the document has none or an unknown zero."""
+        if self.document.validity.temperature_degc is None and self.document.temperature is None:
+            return None
+        if self.calibration is not None:
+            return self.calibration.correction.bias_curve
+        return build_bias_correction(self.document).bias_curve
+
+    @property
     def bias_rad_s(self) -> FloatArray:
         """The bias, shape (3,).
 
@@ -153,6 +162,9 @@ class ExportSource:
                 "measurements with `gyrorig apply`",
             )
         omitted = [cause for cause in causes if cause not in base]
+        record = self.document.temperature
+        if record is not None and record.scale is not None and "temperature.scale" not in carried:
+            omitted.append("the scale factor against the temperature")
         return [f"not contained in this format: {', '.join(omitted)}"] if omitted else []
 
     def _temperature_range_text(self) -> str:

@@ -11,7 +11,9 @@ TMIN..TMAX, and the value at the temperature of the offset's calibration added b
 """
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 from itertools import pairwise
+from typing import Self
 
 import numpy as np
 
@@ -42,11 +44,15 @@ def px4_parameters(source: ExportSource, slot: int = 0, device_id: int | None = 
         "# The file is right if that driver does not rotate the axes; else rotate the offsets.",
         "# PX4 has no gyro scale and no misalignment; those of this calibration are left out.",
         *(f"# {line}" for line in source.omission_lines(_carried_causes(source))),
+        *(f"# {line}" for line in _curve_lines(source)),
     ]
     if device_id is None:
         lines.append(
             f"# PX4 uses them only for the device in CAL_GYRO{slot}_ID: check that it is this one."
         )
+        lines += [
+            f"# PX4 uses TC_G{slot}_* only if TC_G{slot}_ID is this device; --device-id writes it."
+        ] * (_CubicBias.of(source) is not None)
     lines += ["#", "# Vehicle-Id Component-Id Name Value Type"]
     values: list[tuple[str, float, int]] = []
     if device_id is not None:
@@ -63,17 +69,17 @@ def px4_parameters(source: ExportSource, slot: int = 0, device_id: int | None = 
 def _px4_thermal(
     source: ExportSource, slot: int, device_id: int | None
 ) -> Iterator[tuple[str, float, int]]:
-    polynomial, reference, span = _thermal_polynomial(source)
-    if polynomial is None or span is None:
+    cubic = _CubicBias.of(source)
+    if cubic is None:
         return
     stem = f"TC_G{slot}"
     yield "TC_G_ENABLE", 1, _INT32
     if device_id is not None:
         yield f"{stem}_ID", device_id, _INT32
-    yield f"{stem}_TREF", reference, _REAL32
-    yield f"{stem}_TMIN", span[0], _REAL32
-    yield f"{stem}_TMAX", span[1], _REAL32
-    for order, row in enumerate([np.zeros(3), *polynomial]):
+    yield f"{stem}_TREF", cubic.reference_degc, _REAL32
+    yield f"{stem}_TMIN", cubic.range_degc[0], _REAL32
+    yield f"{stem}_TMAX", cubic.range_degc[1], _REAL32
+    for order, row in enumerate([np.zeros(3), *cubic.coefficients]):
         for axis, value in enumerate(row.tolist()):
             yield f"{stem}_X{order}_{axis}", value, _REAL32
 
@@ -98,49 +104,75 @@ def ardupilot_parameters(source: ExportSource, slot: int = 0) -> str:
         "# INS_GYR_CAL is 0 because ArduPilot otherwise measures new offsets at every start.",
         "# ArduPilot has no gyro scale and no misalignment; those are left out.",
         *(f"# {line}" for line in source.omission_lines(_carried_causes(source))),
+        *(f"# {line}" for line in _curve_lines(source)),
         "INS_GYR_CAL,0",
     ]
     lines += [
         f"{stem}_{axis},{bias:.9g}"
         for axis, bias in zip("XYZ", source.bias_rad_s.tolist(), strict=True)
     ]
-    polynomial, reference, span = _thermal_polynomial(source)
-    if polynomial is not None and span is not None:
-        moved = (
-            shift_polynomial(polynomial, reference, _ARDUPILOT_REFERENCE_DEGC) * _ARDUPILOT_FACTOR
+    cubic = _CubicBias.of(source)
+    if cubic is not None:
+        moved = shift_polynomial(
+            cubic.coefficients, cubic.reference_degc, _ARDUPILOT_REFERENCE_DEGC
         )
         number = slot + 1
         lines += [
             f"INS_TCAL{number}_ENABLE,1",
-            f"INS_TCAL{number}_TMIN,{span[0]:.2f}",
-            f"INS_TCAL{number}_TMAX,{span[1]:.2f}",
-            f"INS_GYR{number}_CALTEMP,{reference:.9g}",
+            f"INS_TCAL{number}_TMIN,{cubic.range_degc[0]:.2f}",
+            f"INS_TCAL{number}_TMAX,{cubic.range_degc[1]:.2f}",
+            f"INS_GYR{number}_CALTEMP,{cubic.reference_degc:.9g}",
         ]
         lines += [
             f"INS_TCAL{number}_GYR{order}_{axis},{value:.9g}"
-            for order, row in enumerate(moved, start=1)
+            for order, row in enumerate(moved * _ARDUPILOT_FACTOR, start=1)
             for axis, value in zip("XYZ", row.tolist(), strict=True)
         ]
     return "\n".join(lines) + "\n"
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _CubicBias:
+    """The bias against the temperature as both autopilots take it."""
+
+    coefficients: FloatArray  # (3, 3), of orders 1 to 3 for x, y, z, rad/s/K^p
+    reference_degc: float
+    range_degc: tuple[float, float]
+    error_rad_s: float  # largest, where the calibration has another curve
+
+    @classmethod
+    def of(cls, source: ExportSource) -> Self | None:
+        """Return it, None if the calibration has no curve or no range."""
+        curve = source.bias_curve
+        if curve is None or curve.is_zero or curve.range_degc is None:
+            return None
+        cubic, error = curve.as_cubic()
+        padded = np.zeros((_POLYNOMIAL_ORDERS, 3))
+        padded[: len(cubic.coefficients)] = cubic.coefficients
+        return cls(padded, curve.reference_degc, curve.range_degc, float(error.max()))
+
+
+def _curve_lines(source: ExportSource) -> list[str]:
+    """Return remarks on the bias against the temperature."""
+    cubic = _CubicBias.of(source)
+    if cubic is None:
+        return []
+    low, high = cubic.range_degc
+    lines = [
+        f"The bias follows the temperature from {low:.1f} to {high:.1f} degC. Outside, the",
+        "autopilot uses the value at the nearer end.",
+    ]
+    if cubic.error_rad_s > 0.0:
+        lines.append(
+            f"The cubic polynomial differs from the calibration by at most {cubic.error_rad_s:.2g} "
+            "rad/s."
+        )
+    return lines
+
+
 def _carried_causes(source: ExportSource) -> tuple[str, ...]:
     """Return the exported causes; a polynomial needs an absolute temperature."""
-    polynomial, _, span = _thermal_polynomial(source)
-    return ("thermal_bias",) if polynomial is not None and span is not None else ()
-
-
-def _thermal_polynomial(
-    source: ExportSource,
-) -> tuple[FloatArray | None, float, list[float] | None]:
-    """Return the bias polynomial of three orders, its reference and its valid range."""
-    span = source.document.validity.temperature_degc
-    if source.calibration is None or not source.correction.thermal_bias.size:
-        return None, float("nan"), span
-    coefficients = source.correction.thermal_bias
-    padded = np.zeros((_POLYNOMIAL_ORDERS, 3))
-    padded[: len(coefficients)] = coefficients
-    return padded, source.correction.reference_degc, span
+    return () if _CubicBias.of(source) is None else ("thermal_bias",)
 
 
 def shift_polynomial(polynomial: FloatArray, from_degc: float, to_degc: float) -> FloatArray:

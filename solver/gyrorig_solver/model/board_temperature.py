@@ -12,7 +12,7 @@ Source: Whittaker smoothing, Eilers, "A perfect smoother", Anal. Chem. 75 (2003)
 discrepancy principle), because a room can change within a minute.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
@@ -27,6 +27,8 @@ SMOOTHING_TIMES_S = (20.0, 12.0, 8.0, 5.0, 3.0, 2.0, 1.0)  # tau, in the order o
 MIN_OCCUPIED_CELLS = 3  # with readings; fewer do not determine a curve
 MAX_MISFIT_SHARE = 0.7
 MIN_READINGS = 8  # readings
+# The gradient over less, times a lag, would multiply the noise of the thermometer.
+MIN_GRADIENT_S = 30.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -36,6 +38,7 @@ class BoardTemperature:
     time_s: FloatArray  # (m,)
     degc: FloatArray  # (m,)
     mean_degc: float  # the reference of thermal causes
+    gradient_width_s: float = 0.0  # over which the gradient is a mean, at least
 
     @classmethod
     def of(
@@ -60,6 +63,11 @@ class BoardTemperature:
         """The highest minus the lowest temperature."""
         return float(np.ptp(self.degc))
 
+    def smoothed(self, width_s: float) -> Self:
+        """Return the temperature as means over a window, without the thermometer's noise."""
+        degc = _moving_means(_moving_means(self.degc, width_s), width_s)
+        return replace(self, degc=degc, gradient_width_s=MIN_GRADIENT_S)
+
     def die_temperature_rise(self, time_s: FloatArray, lag_s: float = 0.0) -> FloatArray:
         """Return the die's temperature minus the reference temperature, shape as `time_s`.
 
@@ -70,10 +78,21 @@ class BoardTemperature:
         """
         rise = self.degc - self.mean_degc
         if lag_s > 0.0:
-            rise = rise + lag_s * np.gradient(rise, GRID_STEP_S)
+            slope = np.gradient(rise, GRID_STEP_S)
+            rise = rise + lag_s * _moving_means(slope, max(lag_s, self.gradient_width_s))
         elif lag_s < 0.0:
             rise = _lagged(rise, -lag_s)
         return np.asarray(np.interp(time_s, self.time_s, rise), dtype=np.float64)
+
+
+def _moving_means(values: FloatArray, width_s: float) -> FloatArray:
+    """Return means over a window of the grid, (n,); it is shorter at the ends."""
+    half = min(int(0.5 * width_s / GRID_STEP_S), (values.size - 1) // 2)
+    total = np.concatenate([[0.0], np.cumsum(values)])
+    index = np.arange(values.size)
+    reach = np.minimum(half, np.minimum(index, values.size - 1 - index))
+    means = (total[index + reach + 1] - total[index - reach]) / (2 * reach + 1)
+    return np.asarray(means, dtype=np.float64)
 
 
 def _lagged(rise: FloatArray, tau_s: float) -> FloatArray:

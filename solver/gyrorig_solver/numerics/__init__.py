@@ -10,6 +10,7 @@ from gyrorig_solver.numerics.distributions import (
     detection_noncentrality,
     normal_quantile,
     normal_upper_tail,
+    student_factor,
 )
 
 __all__ = [
@@ -20,4 +21,5 @@ __all__ = [
     "normal_quantile",
     "normal_upper_tail",
     "solve_arrowhead",
+    "student_factor",
 ]

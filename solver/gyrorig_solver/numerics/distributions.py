@@ -44,6 +44,11 @@ def detection_noncentrality(degrees_of_freedom: int, test_count: int) -> float:
     )
 
 
+def student_factor(degrees: float) -> float:
+    """Return the ratio of the half-widths of a 95 % interval, Student's t against normal."""
+    return float(special.stdtrit(degrees, 0.975) / special.ndtri(0.975))
+
+
 def normal_upper_tail(z: float) -> float:
     """Return the probability that a standard normal variable is larger."""
     return float(special.ndtr(-z))

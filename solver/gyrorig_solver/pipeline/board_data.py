@@ -33,6 +33,8 @@ class BoardData:
     board: str
     recordings: tuple[Recording, ...]
     samples: tuple[GyroSamples, ...]  # as recorded
+    # Used instead of those of `samples`, if a known part of the rates was subtracted.
+    changed_sessions: tuple[Session, ...] | None = None
 
     @cached_property
     def kind(self) -> "ReferenceKind":
@@ -78,6 +80,8 @@ class BoardData:
             UsageError: a reference does not give the rate at each moment, the board's settings
                 differ between recordings, or a recording is given twice.
         """
+        if self.changed_sessions is not None:
+            return self.changed_sessions
         usable = tuple(without_clipping(without_repeats(samples)) for samples in self.samples)
         check_given_once(self.recordings)
         _check_same_settings(self.recordings, usable)

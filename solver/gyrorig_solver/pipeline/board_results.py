@@ -5,6 +5,7 @@ What to use when: `RawChecks` of a board's samples come from `check_raw_streams`
 """
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -25,6 +26,9 @@ from gyrorig_solver.findings.findings_builder import RawChecks
 from gyrorig_solver.pipeline.board_data import BoardData
 from gyrorig_solver.report import ReportSeries
 
+if TYPE_CHECKING:  # a curve completes an explanation
+    from gyrorig_solver.pipeline.rest_temperature import RestTemperature
+
 NO_CAUSE_REMARK = "the search named no cause, so the program tested no cause on {}"
 ALL_RECORDINGS = "all recordings"  # whose common gain a check is of
 
@@ -42,6 +46,7 @@ class BoardExplanation:
     fit_explanation: FitExplanation | None  # None where the reference is no unit's motion
     fit: GyroFit | None = None  # where the reference is no unit's motion; with the named causes
     attitude_space: AttitudeFitSpace | None = None  # where the reference is attitudes
+    temperature: "RestTemperature | None" = None  # where the bias at rest follows the temperature
 
 
 @dataclass(frozen=True, slots=True, eq=False)

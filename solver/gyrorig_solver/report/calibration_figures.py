@@ -8,7 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gyrorig_solver.data import FloatArray
+from gyrorig_solver.calibration import TemperatureRecord, bias_curve
+from gyrorig_solver.data import FloatArray, TemperatureCurve
 from gyrorig_solver.data.clocks.clock_trace import ClockTrace
 from gyrorig_solver.estimate import FitDiagnostics
 from gyrorig_solver.report import integration_error
@@ -25,6 +26,10 @@ from gyrorig_solver.report.report_data import ReportData
 
 _MIN_RANGE_RAD = 0.02  # 1 degree; an axis that turned less is not drawn
 _MOTION_RAD_S = 0.01  # slower is rest
+CURVE_POINTS = 120
+COVERAGE_FACTOR = 1.96
+HEIGHT_INCH = 6.4
+BRANCHES = ((True, "heating"), (False, "cooling"), (None, "value"))
 
 
 @dataclass(frozen=True, slots=True)
@@ -230,3 +235,56 @@ def _binned(
     variance = np.bincount(index, (value - mean[index]) ** 2, bins) / safe
     centre = 0.5 * (edges[1:] + edges[:-1])
     return centre[filled], mean[filled], 1.96 * np.sqrt(variance[filled] / safe[filled])
+
+
+def temperature_figure(record: TemperatureRecord, bias_rad_s: FloatArray) -> str:
+    """Draw the bias of each axis against the temperature; empty without a curve.
+
+    Args:
+        record: of the calibration.
+        bias_rad_s: at the reference temperature, shape (3,).
+    """
+    curve = bias_curve(record)
+    if curve is None or record.bias is None:
+        return ""
+    low, high = record.range_degc
+    degc = np.linspace(low, high, CURVE_POINTS)
+    value = np.degrees(bias_rad_s + curve.change(degc))
+    half = COVERAGE_FACTOR * np.degrees(curve_std(curve, np.array(record.bias.covariance), degc))
+    figure, panels = stacked_panels(3, HEIGHT_INCH)
+    for axis, panel in enumerate(panels):
+        panel.band(
+            degc, value[:, axis] - half[:, axis], value[:, axis] + half[:, axis], colour=BEFORE
+        )
+        panel.plot(degc, value[:, axis], colour=BEFORE, linewidth=1.4, label="curve")
+        for branch, label in BRANCHES:
+            points = [point for point in record.points if point.heating is branch]
+            if points:
+                panel.plot(
+                    np.array([point.temperature_degc for point in points]),
+                    np.degrees(np.array([point.bias[axis] for point in points])),
+                    colour=AXIS_COLOURS[0 if branch else 2],
+                    linewidth=0.0,
+                    linestyle="",
+                    markersize=4.0,
+                    label=label,
+                )
+        panel.name_axes("temperature, °C", f"bias {'xyz'[axis]}, deg/s")
+    return figure.svg()
+
+
+def curve_std(curve: TemperatureCurve, covariance: FloatArray, degc: FloatArray) -> FloatArray:
+    """Return the standard uncertainty of a curve with its value at the reference, (n, 3).
+
+    Args:
+        curve: of the section.
+        covariance: of the coefficients, the knots' ones and the value, (3, q + 1, q + 1).
+        degc: temperatures, (n,).
+    """
+    rise = degc - curve.reference_degc
+    powers = rise[:, None] ** np.arange(1, len(curve.coefficients) + 1)
+    bends = np.maximum(degc[:, None] - curve.knots_degc, 0.0) ** 3
+    bends -= np.maximum(curve.reference_degc - curve.knots_degc, 0.0) ** 3
+    design = np.concatenate([powers, bends, np.ones((degc.size, 1))], axis=1)
+    variance = np.einsum("ni,aij,nj->na", design, covariance, design)
+    return np.asarray(np.sqrt(np.clip(variance, 0.0, None)), dtype=np.float64)

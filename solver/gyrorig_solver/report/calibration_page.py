@@ -11,6 +11,7 @@ from importlib.resources import files
 from typing import Any
 
 import jinja2
+import numpy as np
 from markupsafe import Markup, escape
 
 from gyrorig_solver.calibration import CalibrationDocument
@@ -18,10 +19,11 @@ from gyrorig_solver.calibration.calibration_wording import (
     VERDICT_TITLES,
     collapse_groups,
     missing_value_text,
+    temperature_sentences,
     verdict_sentence,
 )
 from gyrorig_solver.report import calibration_view, summary_tiles
-from gyrorig_solver.report.calibration_figures import draw_figures
+from gyrorig_solver.report.calibration_figures import draw_figures, temperature_figure
 from gyrorig_solver.report.report_data import ReportData
 
 _COMMAND = re.compile(r"`([^`<>&]{1,120})`")
@@ -73,6 +75,7 @@ def _page_view(data: ReportData) -> dict[str, Any]:
         "reasons": calibration.trust.reasons,
         "tiles": summary_tiles.summary_tiles(data),
         "pictures": draw_figures(data, summary_tiles.inverse_gain(calibration)),
+        "temperature": _temperature(calibration),
         "noise": calibration_view.noise_rows(data),
         "findings": calibration_view.findings_text(calibration),
         "uncertainty": calibration_view.uncertainty_rows(calibration),
@@ -101,6 +104,19 @@ def _page_view(data: ReportData) -> dict[str, Any]:
         "inputs": [_input_row(row) for row in calibration.inputs],
         "provenance": _provenance(calibration),
         "warnings": calibration.quality.warnings,
+    }
+
+
+def _temperature(calibration: CalibrationDocument) -> dict[str, Any] | None:
+    record = calibration.temperature
+    if record is None:
+        return None
+    bias = calibration.parameters["bias"].value
+    values = np.array([math.nan if value is None else value for value in bias]
+                      if isinstance(bias, list) else [math.nan] * 3)  # fmt: skip
+    return {
+        "picture": temperature_figure(record, values),
+        "text": " ".join(temperature_sentences(record)),
     }
 
 

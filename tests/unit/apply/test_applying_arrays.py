@@ -107,9 +107,12 @@ EVERY = {
 }
 
 
+WARM_RANGE = {"rate_rad_s": [-4.0, 4.0], "temperature_degc": [0.0, 70.0]}
+
+
 def test_every_cause_of_the_sensor_is_corrected(document: DocumentFactory) -> None:
     """The model forward, written out here axis by axis, comes back to the rates it began with."""
-    result = Calibration(document(parameters=EVERY))
+    result = Calibration(document(parameters=EVERY, validity=WARM_RANGE))
     matrices = result.document.matrices
     gain, turn = (np.array(m, dtype=np.float64) for m in (matrices.STM, matrices.M))
     bias = np.array(result.document.parameters["bias"].value, dtype=np.float64)
@@ -133,10 +136,21 @@ def test_every_cause_of_the_sensor_is_corrected(document: DocumentFactory) -> No
 def test_a_single_parameter_has_the_name_of_its_cause(document: DocumentFactory) -> None:
     slope = {"thermal_bias": EVERY["thermal_bias.slope"]}
     slope |= {n: EVERY[n] for n in ("thermal_bias.reference",)}
-    result = Calibration(document(parameters=slope))
+    result = Calibration(document(parameters=slope, validity=WARM_RANGE))
     cold, warm = (result.rates([0.0, 0.0, 0.0], temperature_degc=t) for t in (25.0, 35.0))
     drift = result.correction.inverse @ [1e-2, -2e-2, 5e-3]
     np.testing.assert_allclose(cold - warm, drift, atol=1e-12)
+
+
+def test_temperatures_outside_the_valid_range_are_refused_or_nan(
+    document: DocumentFactory,
+) -> None:
+    warm = {n: p for n, p in EVERY.items() if n.startswith("thermal_bias")}
+    result = Calibration(document(parameters=warm, validity=WARM_RANGE))
+    with pytest.raises(InputError, match=r"valid from 0.0 to 70.0 degC, but .* 71.0 to 71.0 degC"):
+        result.rates(np.ones((2, 3)), temperature_degc=[20.0, 71.0])
+    output = result.rates(np.ones((3, 3)), temperature_degc=[20.0, 71.0, np.nan], outside="nan")
+    assert np.isfinite(output).all(axis=1).tolist() == [True, False, False]
 
 
 def test_needed_temperatures_and_forces_must_be_given(document: DocumentFactory) -> None:

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 import pytest
 from mcap.reader import make_reader
@@ -249,12 +250,13 @@ def test_temperatures_are_taken_from_the_recording(
             parameters={
                 **{"thermal_bias": slope, "thermal_bias.reference": reference},
                 **({"thermal_bias.lag": lag} if lag_s else {}),
-            }
+            },
+            validity={"rate_rad_s": [-4.0, 4.0], "temperature_degc": [20.0, 70.0]},
         )
     )
     assert bool(result.not_applied) == bool(lag_s)
     summary = apply_to_recording(result, source, tmp_path / "out.mcap")
-    assert summary.outside_warmth == int(np.sum(25.0 + 0.05 * np.arange(0, count, 2) > 26.0))
+    assert (summary.messages, summary.outside_temperature) == (count, 0)
     made = [m for _, _, m in messages(tmp_path / "out.mcap")]
     output = np.array([xyz(m.angular_velocity) for m in made])
     degc = 25.0 + 0.05 * np.arange(count) + lag_s
@@ -264,6 +266,18 @@ def test_temperatures_are_taken_from_the_recording(
     inside = slice(100, -100)  # the ends of a smooth course rest on half of its readings
     np.testing.assert_allclose(output[inside], wanted[inside], atol=1e-4)  # 0.1 K
     assert {m.linear_acceleration_covariance[0] for m in made} == {-1.0}
+    cold = result.document.validity.__class__(rate_rad_s=[-1.0, 1.0], temperature_degc=[20.0, 45.0])
+    part = Calibration(msgspec.structs.replace(result.document, validity=cold))
+    summary = apply_to_recording(part, source, tmp_path / "part.mcap")
+    assert summary.messages == pytest.approx(410, abs=4)  # half a kelvin beyond 45 degC
+    assert summary.messages + summary.outside_temperature == count
+    hot = result.document.validity.__class__(rate_rad_s=[-1.0, 1.0], temperature_degc=[80.0, 90.0])
+    with pytest.raises(InputError, match=r"valid from 80.0 to 90.0 degC"):
+        apply_to_recording(
+            Calibration(msgspec.structs.replace(result.document, validity=hot)),
+            source,
+            tmp_path / "no.mcap",
+        )
 
 
 def test_the_command_reports_its_result(

@@ -124,7 +124,10 @@ def test_a_needed_temperature_column_is_required_and_used(
     (tmp_path / "in.csv").write_text("gx,gy,gz,T\n0,0,0,25\n0,0,0,35\n")
     slope = {"value": [1e-3, 0.0, 0.0], "std": [0.0] * 3, "unit": "rad/s/K"}
     reference = {"value": [25.0], "std": [0.0], "unit": "degC"}
-    made = document(parameters={"thermal_bias.slope": slope, "thermal_bias.reference": reference})
+    made = document(
+        parameters={"thermal_bias.slope": slope, "thermal_bias.reference": reference},
+        validity={"rate_rad_s": [-4.0, 4.0], "temperature_degc": [20.0, 40.0]},
+    )
     warm = tmp_path / "warm.yaml"
     warm.write_text(calibration_as_yaml(made))
     base = ["apply", str(warm), str(tmp_path / "in.csv"), "--columns", "gx,gy,gz"]
@@ -135,3 +138,12 @@ def test_a_needed_temperature_column_is_required_and_used(
     first, second = (np.array(r.split(",")[-3:], dtype=float) for r in rows)
     inverse = Calibration(made).correction.inverse
     np.testing.assert_allclose(first - second, inverse @ [0.01, 0.0, 0.0], atol=1e-8)
+    capsys.readouterr()
+    (tmp_path / "in.csv").write_text("gx,gy,gz,T\n0,0,0,25\n0,0,0,45\n")
+    assert cli.run([*base, "--temperature", "T", "-o", str(tmp_path / "b.csv")]) == 0
+    assert "1 rows get no rate" in capsys.readouterr().out
+    assert (tmp_path / "b.csv").read_text().splitlines()[2] == "0,0,0,45,,,"
+    (tmp_path / "in.csv").write_text("gx,gy,gz,T\n0,0,0,45\n")
+    assert cli.run([*base, "--temperature", "T", "-o", str(tmp_path / "c.csv")]) == 3
+    assert "outside 20.0 to 40.0 degC" in capsys.readouterr().err
+    assert not (tmp_path / "c.csv").exists()

@@ -105,7 +105,9 @@ def test_compiled_c_gives_the_true_rates(
 
 
 def test_c_with_a_temperature(document: DocumentFactory, tmp_path: Path) -> None:
-    result = document(parameters=WARM)
+    result = document(
+        parameters=WARM, validity={"rate_rad_s": [-4.0, 4.0], "temperature_degc": [0.0, 70.0]}
+    )
     main = """
 #include <stdio.h>
 #include "board.h"

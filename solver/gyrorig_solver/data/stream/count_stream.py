@@ -1,7 +1,7 @@
 """The raw stream of counts, and the result of a check."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import pairwise
@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from gyrorig_solver.data.arrays import BoolArray, FloatArray, IntArray
-from gyrorig_solver.data.count_columns import stored_column
+from gyrorig_solver.data.count_columns import CountColumn, stored_column
 from gyrorig_solver.data.samples import GyroSamples
 
 PIECE_ROWS = 1 << 17  # rows per piece; 8 h at 800 Hz are 23 million
@@ -146,6 +146,25 @@ def replace_usable(
     }  # not as values, which `replace` would read
     count = samples.repeated if repeated is None else repeated
     return replace(samples, usable=usable, repeated=count, **count_fields)
+
+
+def subtract_rates(
+    samples: GyroSamples, change_rad_s: Callable[[FloatArray], FloatArray]
+) -> GyroSamples:
+    """Return samples with a known part of the rates subtracted.
+
+    Args:
+        samples: the other columns are shared.
+        change_rad_s: returns this part at times (n,), shape (n, 3).
+    """
+    count_fields: dict[str, Any] = {name: stored_column(samples, name) for name in COUNT_FIELDS}
+    gyro = samples.gyro
+    counts = np.empty((samples.time_s.size, 3))
+    for start in range(0, counts.shape[0], PIECE_ROWS):
+        rows = slice(start, start + PIECE_ROWS)
+        counts[rows] = gyro.counts[rows] - change_rad_s(samples.time_s[rows]) / gyro.scale
+    count_fields["rate_rad_s"] = CountColumn(counts, gyro.scale)
+    return replace(samples, **count_fields)
 
 
 def poisson_tail(count: int, expected: float) -> float:

@@ -1,0 +1,300 @@
+"""Bias and scale against the temperature from values without times: tables and calibrations.
+
+What to use when: `read_values` for the inputs, `with_temperature_curves` for the calibration.
+"""
+
+import csv
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from importlib.metadata import version as installed_version
+from pathlib import Path
+
+import msgspec
+import numpy as np
+
+from gyrorig_protocol.errors import InputError, UsageError
+from gyrorig_solver.apply import read_calibration
+from gyrorig_solver.calibration import CalibrationDocument, Parameter, TemperatureRecord
+from gyrorig_solver.calibration.calibration_builder import UNKNOWN, curve_record, settings_sha256
+from gyrorig_solver.calibration.calibration_document import (
+    MODEL,
+    BoardRecord,
+    BoardSettings,
+    Covariance,
+    Matrices,
+    ObservabilityRecord,
+    Quality,
+    SolverRecord,
+    Trust,
+    Units,
+    Validity,
+)
+from gyrorig_solver.calibration.temperature_record import TemperaturePoint
+from gyrorig_solver.data import FloatArray
+from gyrorig_solver.data.text_table import check_text_table
+from gyrorig_solver.estimate import TemperatureFit, fit_temperature
+from gyrorig_solver.estimate.temperature import BiasTable
+from gyrorig_solver.model import PARAMETER_GROUPS
+
+AXES = ("x", "y", "z")
+UNITS = {"rad/s": 1.0, "deg/s": float(np.pi / 180.0), "deg/h": float(np.pi / 648000.0)}
+MIN_ROWS = 4
+CALIBRATION_SUFFIXES = (".yaml", ".yml")
+NO_MOTION_REASON = (
+    "a table of biases does not show the gain. To know the gain, calibrate the board with a motion "
+    "and give the calibration with --calibration"
+)
+TABLE_REMEDY = (
+    "give a table (CSV) with the columns temperature_degc, bias_x, bias_y, bias_z, and optionally "
+    "bias_std_x, ..., scale_x, ..., scale_std_x, ..."
+)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TemperatureValues:
+    """Bias and scale factor at temperatures, one row per measurement."""
+
+    source: str
+    temperature_degc: FloatArray  # (n,)
+    bias: FloatArray  # (n, 3), rad/s
+    bias_std: FloatArray  # (n, 3), zero where it is not known
+    scale: FloatArray | None  # (n, 3); None: not given
+    scale_std: FloatArray | None
+    template: CalibrationDocument | None  # the last calibration among the inputs
+
+
+def read_values(paths: Sequence[Path], unit: str) -> TemperatureValues:
+    """Return the rows of tables and calibrations.
+
+    Args:
+        paths: CSV tables, and calibrations (YAML) of one board.
+        unit: of the bias in tables, a key of `UNITS`.
+
+    Raises:
+        InputError: a file is neither, or it lacks a value.
+        UsageError: there are too few rows, or calibrations of several boards.
+    """
+    rows: list[dict[str, float]] = []
+    template: CalibrationDocument | None = None
+    for path in paths:
+        if path.suffix in CALIBRATION_SUFFIXES:
+            document, _ = read_calibration(path)
+            if template is not None and template.board.id != document.board.id:
+                raise UsageError(
+                    f"the calibrations are of different boards, {template.board.id} and "
+                    f"{document.board.id}",
+                    "give calibrations of one board",
+                )
+            template = document
+            rows.append(_calibration_row(document, path.name))
+        else:
+            rows += _table_rows(path, UNITS[unit])
+    if len(rows) < MIN_ROWS:
+        raise UsageError(
+            f"{len(rows)} values of the bias are too few for a curve against the temperature",
+            f"give at least {MIN_ROWS} values at different temperatures",
+        )
+    bias, bias_std = _columns(rows, "bias", 0.0)
+    has_scale = all(f"scale_{axis}" in row for row in rows for axis in AXES)
+    scale, scale_std = _columns(rows, "scale", 0.0) if has_scale else (None, None)
+    return TemperatureValues(
+        ", ".join(path.name for path in paths),
+        np.array([row["temperature_degc"] for row in rows]),
+        bias,
+        bias_std,
+        scale,
+        scale_std,
+        template,
+    )
+
+
+def _columns(
+    rows: Sequence[dict[str, float]], name: str, no_std: float
+) -> tuple[FloatArray, FloatArray]:
+    value = np.array([[row[f"{name}_{axis}"] for axis in AXES] for row in rows])
+    std = np.array([[row.get(f"{name}_std_{axis}", no_std) for axis in AXES] for row in rows])
+    return value, std
+
+
+def _calibration_row(document: CalibrationDocument, name: str) -> dict[str, float]:
+    degc = document.quality.mean_temperature_degc
+    if document.validity.temperature_degc is None or degc is None:
+        raise InputError(
+            f"the calibration {name} has no temperature in degrees Celsius",
+            "record the temperature of the board, and solve again",
+        )
+    row = {"temperature_degc": degc}
+    for quantity in ("bias", "scale"):
+        parameter = document.parameters[quantity]
+        for axis, value, std in zip(
+            AXES, _list(parameter.value), _list(parameter.std), strict=True
+        ):
+            if value is not None:
+                row[f"{quantity}_{axis}"] = value
+                row[f"{quantity}_std_{axis}"] = std or 0.0
+    if not all(f"bias_{axis}" in row for axis in AXES):
+        raise InputError(f"the calibration {name} has no value for the bias", "leave it out")
+    return row
+
+
+def _list(value: list[float | None] | float | None) -> list[float | None]:
+    return value if isinstance(value, list) else [value] * len(AXES)
+
+
+def _table_rows(path: Path, unit: float) -> list[dict[str, float]]:
+    try:
+        check_text_table(path)
+        lines = path.read_text(encoding="utf-8", errors="replace").splitlines()
+    except OSError as fault:
+        raise InputError(
+            f"the table {path} cannot be read ({fault.strerror})", TABLE_REMEDY
+        ) from fault
+    delimiter = max(",;\t", key=(lines[0] if lines else "").count)
+    reader = csv.DictReader(lines, delimiter=delimiter, skipinitialspace=True)
+    names = [name.strip() for name in reader.fieldnames or []]
+    missing = [
+        name for name in ("temperature_degc", *(f"bias_{a}" for a in AXES)) if name not in names
+    ]
+    if missing:
+        raise InputError(f"the table {path.name} has no column {missing[0]!r}", TABLE_REMEDY)
+    return [_table_row(row, number, path.name, unit) for number, row in enumerate(reader, start=1)]
+
+
+def _table_row(row: dict[str, str], number: int, name: str, unit: float) -> dict[str, float]:
+    values = {}
+    for column, text in row.items():
+        key = (column or "").strip()
+        if key != "temperature_degc" and not key.startswith(("bias_", "scale_")):
+            continue
+        try:
+            value = float(text)
+        except (TypeError, ValueError):
+            value = np.nan
+        if not np.isfinite(value):
+            raise InputError(
+                f"row {number} of the table {name} has {str(text)[:40]!r} in the column {key}, "
+                "which is not a number",
+                "correct the cell, or remove the row",
+            )
+        values[key] = value * (unit if key.startswith("bias_") else 1.0)
+    return values
+
+
+def with_temperature_curves(
+    document: CalibrationDocument, values: TemperatureValues
+) -> CalibrationDocument:
+    """Return a calibration with the curves of bias and scale of the values.
+
+    Raises:
+        InputError: the values show no dependence on the temperature.
+    """
+    degc = values.temperature_degc
+    bias = fit_temperature([], table=BiasTable(degc, values.bias, values.bias_std))
+    if bias is None or not bias.is_significant:
+        raise InputError(
+            f"the bias in {values.source} does not depend significantly on the temperature",
+            "use the mean of the bias, or measure over a larger range of temperatures",
+        )
+    document = _with_parameter(document, "bias", bias, "rad/s", np.ones(3))
+    scale = None
+    if values.scale is not None and values.scale_std is not None:
+        mean = values.scale.mean(axis=0)
+        table = BiasTable(degc, values.scale / mean, values.scale_std / np.abs(mean))
+        scale = fit_temperature([], table=table)
+    if scale is not None and scale.is_significant:
+        document = _with_parameter(document, "scale", scale, "1", mean)
+        seen = document.observability
+        hidden = [name for name in seen.unobservable if not name.startswith("scale.")]
+        document = msgspec.structs.replace(
+            document,
+            matrices=_matrices(document),
+            observability=msgspec.structs.replace(seen, unobservable=hidden),
+        )
+    record = TemperatureRecord(
+        source=values.source,
+        reference_degc=bias.reference_degc,
+        range_degc=list(bias.range_degc),
+        bias=curve_record(bias, "rad/s"),
+        scale=None if scale is None or not scale.is_significant else curve_record(scale, "1"),
+        repeatability=bias.run_std.tolist(),
+        points=[
+            TemperaturePoint(round(point.temperature_degc, 3), point.value.tolist())
+            for point in bias.points
+        ],
+    )
+    validity = Validity(
+        document.validity.rate_rad_s, list(bias.range_degc), document.validity.config_hash
+    )
+    return msgspec.structs.replace(
+        document,
+        temperature=record,
+        validity=validity,
+    )
+
+
+def _with_parameter(
+    document: CalibrationDocument, name: str, fit: TemperatureFit, unit: str, factor: FloatArray
+) -> CalibrationDocument:
+    """Return a document with the value at the reference temperature, and its uncertainty."""
+    std = fit.std(np.array([fit.reference_degc]))[0] * np.abs(factor)
+    parameter = Parameter(value=(fit.value * factor).tolist(), std=std.tolist(), unit=unit)
+    matrix = np.array(document.covariance.matrix, dtype=np.float64)
+    for axis, axis_std in zip(AXES, std, strict=True):
+        entry = f"{name}.{axis}"
+        if entry in document.covariance.order:
+            k = document.covariance.order.index(entry)
+            matrix[k, :] = matrix[:, k] = 0.0
+            matrix[k, k] = axis_std**2
+    return msgspec.structs.replace(
+        document,
+        parameters={**document.parameters, name: parameter},
+        covariance=Covariance(document.covariance.order, matrix.tolist()),
+    )
+
+
+def _matrices(document: CalibrationDocument) -> Matrices:
+    """Return the matrices with the scale factors of the parameters."""
+    scale = np.diag(np.array(document.parameters["scale"].value, dtype=np.float64))
+    lower, rotation = (
+        np.array(m, dtype=np.float64) for m in (document.matrices.T, document.matrices.M)
+    )
+    product = scale @ lower @ rotation
+    if not np.all(np.isfinite(product)):
+        return document.matrices
+    return Matrices(scale.tolist(), document.matrices.T, document.matrices.M, product.tolist())
+
+
+def document_without_motion(board: str, sensor: str) -> CalibrationDocument:
+    """Return a calibration of a board whose bias alone is known, to be completed."""
+    unknown = [None, None, None]
+    units = {"bias": "rad/s", "scale": "1", "nonorthogonality": "1", "misalignment": "rad"}
+    parameters = {name: Parameter(list(unknown), list(unknown), u) for name, u in units.items()}
+    parameters["time_offset"] = Parameter(None, None, "s")
+    order = [f"bias.{axis}" for axis in AXES]
+    hidden = [
+        f"{group.name}.{label}" if label else group.name
+        for group in PARAMETER_GROUPS
+        if group.name != "bias"
+        for label in group.labels
+    ]
+    return CalibrationDocument(
+        schema="gyrorig/calibration/1",
+        board=BoardRecord(board, "unknown", sensor, BoardSettings()),
+        version=1,
+        created=datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ"),
+        inputs=[],
+        solver=SolverRecord(
+            installed_version("gyrorig"), "likelihood", ["bias"], settings_sha256({})
+        ),
+        units=Units(),
+        model=MODEL,
+        parameters=parameters,
+        matrices=Matrices(UNKNOWN, UNKNOWN, UNKNOWN, UNKNOWN),
+        covariance=Covariance(order, np.zeros((3, 3)).tolist()),
+        observability=ObservabilityRecord(3, 12, hidden, None),
+        noise={},
+        quality=Quality(None, []),
+        trust=Trust("limited", [NO_MOTION_REASON]),
+        validity=Validity([0.0, 0.0]),
+    )
