@@ -107,7 +107,7 @@ def test_the_total_covers_an_error_that_the_noise_does_not(
 
 def test_the_cause_is_the_largest_contribution(budget: UncertaintyBudget) -> None:
     largest = max(budget.entries, key=lambda entry: entry.std[Y])
-    assert largest.term.cause == "axis_nonorthogonality"
+    assert largest.cause == "axis_nonorthogonality"
     assert largest.std[Y] <= budget.std[Y] * 1.5
 
 
@@ -258,7 +258,7 @@ def test_a_clock_step_leaves_the_time_offset_open_by_its_size(leaning: Session) 
     assert made.std[index] == pytest.approx(8.8e-3, rel=1e-3)
     assert made.expanded_uncertainty(NOISE, 0.95)[index] > 8.8e-3
     largest = max(made.entries, key=lambda entry: entry.std[index])
-    assert (largest.term.cause, largest.std[index]) == ("clock_step", pytest.approx(8.8e-3))
+    assert (largest.cause, largest.std[index]) == ("clock_step", pytest.approx(8.8e-3))
     others = np.arange(len(CALIBRATION_PARAMETERS)) != index
     assert np.all(largest.std[others] == 0.0)
 
