@@ -2,7 +2,7 @@
 
 from typing import TYPE_CHECKING
 
-from gyrorig_protocol.board_protocols import BoardProtocol, find_protocol, protocol_names
+from gyrorig_protocol.board_protocols import BoardProtocol, find_protocol
 from gyrorig_protocol.errors import UsageError
 
 if TYPE_CHECKING:
@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 PROTOCOL_KEYS = ("columns", "signals", "options")
 
 
-def validate_protocol(board: "BoardPort", is_emulated: bool, name: str) -> BoardProtocol:
+def validate_protocol(board: "BoardPort", name: str) -> BoardProtocol:
     """Return the protocol of a board after a check of its keys; `name`: of the rig file.
 
     Raises:
@@ -19,17 +19,6 @@ def validate_protocol(board: "BoardPort", is_emulated: bool, name: str) -> Board
     """
     owner = f"{name}: board {board.id}"
     protocol = find_protocol(board.format, bool(board.bus), owner)
-    if is_emulated and not protocol.can_be_emulated:
-        names = [
-            known
-            for known in protocol_names(protocol.on_bus)
-            if find_protocol(known, protocol.on_bus).can_be_emulated
-        ]
-        raise UsageError(
-            f"{owner} is emulated, but an emulated board supports only `format: "
-            f"{'` and `format: '.join(names)}`",
-            f"remove the line `format: {board.format}` of this board",
-        )
     for key in PROTOCOL_KEYS:
         is_used = key in protocol.required_keys or key in protocol.optional_keys
         if getattr(board, key) and not is_used:

@@ -108,7 +108,7 @@ def validate_buses(rig: "RigConfig", name: str) -> None:
                 "define it",
                 "define the bus under `buses`",
             )
-        _validate_board(board, rig, name)
+        _validate_board(board, name)
         if board.node is not None:
             other = board_by_node.setdefault((board.bus, board.node), board.id)
             if other != board.id:
@@ -121,14 +121,13 @@ def validate_buses(rig: "RigConfig", name: str) -> None:
     _validate_emulated_buses(rig, name)
 
 
-def _validate_board(board: "BoardPort", rig: "RigConfig", name: str) -> None:
+def _validate_board(board: "BoardPort", name: str) -> None:
     if board.port:
         raise UsageError(
             f"{name}: board {board.id} has both the key `port` and the key `bus`",
             "remove one of the two keys",
         )
-    bus = next(bus for bus in rig.buses if bus.id == board.bus)
-    validate_protocol(board, bus.port == EMULATED, name)
+    validate_protocol(board, name)
 
 
 def _validate_emulated_buses(rig: "RigConfig", name: str) -> None:

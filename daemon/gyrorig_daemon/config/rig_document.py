@@ -304,7 +304,7 @@ def _validate_board(board: BoardPort, odr_hz: int, name: str) -> None:
             f"{name}: board {board.id} has neither a port nor a CAN bus",
             "add the key `port`, or the keys `bus` and `node`",
         )
-    protocol = validate_protocol(board, board.port == EMULATED, name)
+    protocol = validate_protocol(board, name)
     if board.port == EMULATED and isinstance(protocol, SerialProtocol):
         _validate_emulated_line(board, protocol.sample_bytes, odr_hz, name)
 

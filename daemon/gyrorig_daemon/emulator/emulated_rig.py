@@ -11,6 +11,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from gyrorig_daemon.emulator.board import EmulatedBoard, EmulatedCanBoard
+from gyrorig_daemon.emulator.board.emulated_protocol import find_emulated_can_board
 from gyrorig_daemon.emulator.emulated_can_bus import EmulatedCanBus
 from gyrorig_daemon.emulator.emulated_person import EmulatedPerson
 from gyrorig_daemon.emulator.emulator_settings import PtuSettings, RigSettings
@@ -120,7 +121,7 @@ class EmulatedRig:
             counter = DeviceClock(self.truth.controller_clock, origin_ns, counter_rng)
             self.ptu = EmulatedPtu(unit_settings, self.stage, counter, origin_ns, ptu_rng)
         self.boards = {
-            board.name: (EmulatedCanBoard if board.bus else EmulatedBoard)(
+            board.name: (find_emulated_can_board(board.format) if board.bus else EmulatedBoard)(
                 board,
                 self.board_truth(board.name),
                 self.stage,

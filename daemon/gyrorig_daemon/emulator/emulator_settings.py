@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from gyrorig_protocol.board import ColumnMap
+from gyrorig_protocol.can import SignalMap
 
 Dialect = Literal["d46", "e46"]
 
@@ -131,6 +132,7 @@ class BoardSettings:
     text_time: bool = True  # a text line starts with the board's u32 microseconds
     text_temperature: bool = True
     columns: ColumnMap | None = None  # of a text line, instead of these three
+    signals: SignalMap | None = None  # of an IMU on a CAN bus
     options: Mapping[str, str | int | float | bool] = field(default_factory=dict)  # as in a rig
     slow_hz: float = 5.0
     faults: BoardFaults = BoardFaults()

@@ -70,6 +70,7 @@ def emulated_rig_settings(
             baud=board.baud,
             format=board.format,
             columns=board.columns,
+            signals=board.signals,
             options=board.options,
             bus=board.bus,
             node=board.node or 0,

@@ -111,7 +111,6 @@ class BoardProtocol(ABC):
     answers_time_requests = False  # by a `TimeReply`
     counter_bits: int | None = None  # of a sample's timestamp; None: what `facts` say, or 64
     sequence_bits = 32  # of a sample's number
-    can_be_emulated = True  # it has an end in `gyrorig_daemon/emulator/board/protocols`
     required_keys: Mapping[str, str] = MappingProxyType({})  # of the rig file: what to add
     optional_keys: tuple[str, ...] = ()  # of the rig file
 

@@ -15,7 +15,6 @@ class CanSignals(CanProtocol):
 
     name = "signals"
     description = "CAN frames with signals"
-    can_be_emulated = False
     required_keys = MappingProxyType({"signals": REMEDY})
 
     def make_parser(self, board: BoardEntry) -> CanSignalParser:

@@ -71,6 +71,8 @@ class CanSampleEncoder(SampleEncoder):
 class EmulatedCanBoard(EmulatedBoard):
     """A GY-80 with a CAN controller; its frames are ready when `take_output` gives them."""
 
+    protocol_name = "gcb1"  # as `format` in a rig file
+
     def __init__(
         self,
         settings: BoardSettings,

@@ -6,12 +6,16 @@ one of a board.
 
 from abc import ABC, abstractmethod
 from functools import cache
+from typing import TYPE_CHECKING
 
 from gyrorig_daemon.emulator.board import protocols
 from gyrorig_daemon.emulator.emulator_settings import BoardSettings
 from gyrorig_protocol.board import BoardFrame, FrameParser
 from gyrorig_protocol.errors import UsageError
 from gyrorig_protocol.module_registry import registered_modules
+
+if TYPE_CHECKING:  # a board uses its protocol
+    from gyrorig_daemon.emulator.board.emulated_can_board import EmulatedCanBoard
 
 
 class EmulatedProtocol(ABC):
@@ -36,7 +40,27 @@ class EmulatedProtocol(ABC):
 @cache
 def _emulated_protocols() -> dict[str, EmulatedProtocol]:
     modules = registered_modules(protocols, "emulated_protocols")
-    return {module.PROTOCOL.name: module.PROTOCOL for module in modules}
+    candidates = [getattr(module, "PROTOCOL", None) for module in modules]
+    return {protocol.name: protocol for protocol in candidates if protocol is not None}
+
+
+def find_emulated_can_board(name: str) -> "type[EmulatedCanBoard]":
+    """Return the emulated board of a protocol on a CAN bus: the `CAN_BOARD` of a module.
+
+    Raises:
+        UsageError: emulated boards do not speak it.
+    """
+    modules = registered_modules(protocols, "emulated_protocols")
+    candidates = [getattr(module, "CAN_BOARD", None) for module in modules]
+    boards: dict[str, type[EmulatedCanBoard]] = {
+        board.protocol_name: board for board in candidates if board is not None
+    }
+    if name not in boards:
+        raise UsageError(
+            f"an emulated board does not speak the protocol {name} on a CAN bus",
+            f"use one of the formats {', '.join(boards)}",
+        )
+    return boards[name]
 
 
 def find_emulated_protocol(name: str) -> EmulatedProtocol:

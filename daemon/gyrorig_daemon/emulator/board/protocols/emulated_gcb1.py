@@ -1,5 +1,6 @@
 """The firmware of this project: GCB1 frames, requests, and several samples in a frame."""
 
+from gyrorig_daemon.emulator.board.emulated_can_board import EmulatedCanBoard
 from gyrorig_daemon.emulator.board.emulated_protocol import EmulatedProtocol
 from gyrorig_daemon.emulator.emulator_settings import BoardSettings
 from gyrorig_protocol.board import BoardFrame, FrameParser
@@ -22,3 +23,4 @@ class EmulatedGcb1(EmulatedProtocol):
 
 
 PROTOCOL = EmulatedGcb1()
+CAN_BOARD = EmulatedCanBoard
