@@ -9,6 +9,7 @@ reference, because it is computed from the same gyro.
 """
 
 import re
+from array import array
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -44,9 +45,10 @@ class _TopicRows:
 
     kind: str  # imu, pose or temperature
     type_name: str
-    log_ns: list[int] = field(default_factory=list)
-    stamp_ns: list[int] = field(default_factory=list)
-    values: list[tuple[float, ...]] = field(default_factory=list)
+    # arrays of numbers: a row of an IMU takes 64 bytes
+    log_ns: "array[int]" = field(default_factory=lambda: array("q"))
+    stamp_ns: "array[int]" = field(default_factory=lambda: array("q"))
+    values: "array[float]" = field(default_factory=lambda: array("d"))
     frames: set[str] = field(default_factory=set)
 
 
@@ -174,7 +176,7 @@ def _collect(messages: Iterable[RosMessage]) -> dict[str, _TopicRows]:
             stamp = part.header.stamp
             rows.log_ns.append(log_ns)
             rows.stamp_ns.append(int(stamp.sec) * NS + int(stamp.nanosec))
-            rows.values.append(values(part))
+            rows.values.extend(values(part))
             if len(rows.frames) < 3:
                 child = getattr(part, "child_frame_id", "")
                 rows.frames.add(f"{part.header.frame_id}{' to ' + child if child else ''}")
@@ -197,7 +199,7 @@ def _order(name: str, rows: _TopicRows, options: ImportOptions) -> _Topic:
     stamp, reason = choose_stamp_kind(stamp_ns, log_ns, options.stamp)
     if not np.any(stamp_ns):
         stamp_ns, stamp, reason = log_ns, "arrival", "the messages have only a log time"
-    values = np.array(rows.values, dtype=np.float64)
+    values = np.array(rows.values, dtype=np.float64).reshape(stamp_ns.size, -1)
     if stamp == "arrival":
         # attitudes stay in the order of the frames; the stamps of the samples can repeat
         order = np.argsort(log_ns if rows.kind == "pose" else stamp_ns, kind="stable")
