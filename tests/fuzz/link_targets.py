@@ -18,6 +18,7 @@ from gyrorig_protocol.board import (
     decode_payload,
 )
 from gyrorig_protocol.board.frame_encoding import MAX_PAYLOAD_BYTES, MAX_STUFFED_BYTES, encode_frame
+from gyrorig_protocol.board_protocols.json_lines import JsonLineParser, JsonOptions
 from gyrorig_protocol.ptu import AnswerKind, PtuCommand, PtuReplyParser, Reply, read_value
 
 VECTORS = Path(__file__).resolve().parents[2] / "firmware_protocol" / "vectors"
@@ -78,6 +79,20 @@ def board_text(data: bytes) -> None:
                 require(max(map(abs, event.frame.gyro)) < 2**31, "a count is out of range")
 
 
+def board_json(data: bytes) -> None:
+    """As `board_text`, for JSON lines with counts and with units."""
+    for options in (JsonOptions(), JsonOptions(gyro_unit="dps", time_unit="s")):
+        complete, cut = JsonLineParser(options), JsonLineParser(options)
+        events = complete.feed(data, 1)
+        actual = [e for piece in split_pieces(data) for e in cut.feed(piece, 1)]
+        require(_placeless(events) == _placeless(actual), "cuts matter")
+        for event in events:
+            if isinstance(event, FrameEvent) and isinstance(event.frame, Sample):
+                require(max(map(abs, event.frame.gyro)) < 2**31, "a count is out of range")
+                require(0 <= event.frame.sequence < 2**32, "a number is out of range")
+                require(0 <= (event.frame.device_time or 0) < 2**64, "a time is out of range")
+
+
 def _placeless(events: Sequence[Any]) -> list[Any]:
     """The events without their place in a read, which is all that cuts may change."""
     return [msgspec.structs.replace(event, offset=0) for event in events]
@@ -97,9 +112,16 @@ def _lines() -> list[bytes]:
     return [b"1,2,3\n4,5,6\r\n", b"0.001 -1e2 3.5 4\n", b"17,1,2,3,25.0\n# x\n", b"\n\n,,,\n"]
 
 
+def _json_lines() -> list[bytes]:
+    line = b'{"t": 1000, "n": 7, "gyro": [1, -2, 3], "accel": [0, 0, 256], "temp": 251}\n'
+    huge = b'{"gyro": [1%s, 1e400, 0.5], "t": -1.5, "n": 4294967296}\n' % (b"0" * 400)
+    return [line + line, b"\n" + line + huge, b"\n" + huge + line, b"\n" + b"[" * 300 + b"\n"]
+
+
 TARGETS = (
     Target("ptu_replies", ptu_replies, lambda: _vectors("ptu_replies.json", "bytes_hex"), 512),
     Target("board_frames", board_frames, lambda: _vectors("board_frames.json", "wire_hex")),
     Target("board_payloads", board_payloads, _payloads, 300),
     Target("board_text", board_text, _lines, 512),
+    Target("board_json", board_json, _json_lines, 1024),
 )

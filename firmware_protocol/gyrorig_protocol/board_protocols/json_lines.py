@@ -92,7 +92,7 @@ class JsonLineParser:
         options = self._options
         try:
             values = self._decoder.decode(line)
-        except (msgspec.DecodeError, RecursionError):
+        except (msgspec.DecodeError, UnicodeDecodeError, RecursionError):
             return FaultCause.CONTENT
         factor = _RAD_S.get(options.gyro_unit, COUNT_RAD_S) / COUNT_RAD_S
         gyro = _read_triple(values.get(options.gyro_key), factor)
@@ -110,6 +110,8 @@ class JsonLineParser:
         required[options.temperature_key] = temperature
         if gyro is None or any(key in values and v is None for key, v in required.items()):
             return FaultCause.NUMBER
+        if time_ticks is not None and time_ticks < 0:
+            return FaultCause.NUMBER
         return Sample(0, sequence, time_ticks, gyro, accel, temperature)
 
 
@@ -123,6 +125,8 @@ def _read_triple(value: object, factor: float) -> tuple[int, int, int] | None:
 def _read_count(value: object, factor: float, limit: int) -> int | None:
     """Return a number as counts, None if it is none, not finite, or beyond the limit."""
     if isinstance(value, bool) or not isinstance(value, int | float):
+        return None
+    if abs(value) > _UINT64:  # too large for a float
         return None
     if isinstance(value, int) and factor == 1.0:
         return value if abs(value) <= limit else None
