@@ -22,6 +22,7 @@ MAX_LAG_S = 0.3
 # The spline does not bridge longer gaps of the gyro's samples.
 MAX_BRIDGED_PERIODS = 3.5
 MIN_BLOCKS = 64
+MAX_SPEED_RATIO = 1.5  # of the reference over the gyro
 # Enough points to separate two lags by correlation.
 MAX_CORRELATION_POINTS = 4000
 
@@ -95,6 +96,9 @@ def coarse_lag_s(segments: Sequence[AttitudeSegment]) -> float:
     stride = slice(None, None, max(1, count // MAX_CORRELATION_POINTS))
     middle_s = 0.5 * (longest.track.begin_s + longest.track.end_s)[stride]
     reference_speed = np.linalg.norm(longest.track.rate_rad_s[stride], axis=1)
+    # The board is never much faster than the gyro shows: what is faster is an outlier.
+    fastest = np.max(np.linalg.norm(longest.rate_spline(middle_s), axis=1))
+    reference_speed = np.minimum(reference_speed, MAX_SPEED_RATIO * fastest)
     reference_speed = reference_speed - reference_speed.mean()
     step_s = max(longest.track.step_s, 0.01)
     max_lag_steps = int(0.9 * MAX_LAG_S / step_s)

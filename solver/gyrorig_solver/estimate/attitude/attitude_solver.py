@@ -94,6 +94,7 @@ class AttitudeSolver:
         band_hz: float,
         recording_of_segment: Sequence[int] | None = None,
         effects: Sequence[FloatArray] | None = None,
+        lags_s: FloatArray | None = None,
     ) -> None:
         """Start with a coarse time offset of each recording.
 
@@ -102,6 +103,7 @@ class AttitudeSolver:
             band_hz: higher frequencies are not used.
             recording_of_segment: number of each segment's recording; None: all of one recording.
             effects: what causes add to each segment's mean rates, (n, 3); None: nothing.
+            lags_s: of each recording, to start with, if known.
         """
         self.segments, self.band_hz = tuple(segments), band_hz
         recordings = [0] * len(segments) if recording_of_segment is None else recording_of_segment
@@ -110,8 +112,8 @@ class AttitudeSolver:
         count = 1 + max(self.recording_of_segment)
         self.layout = ParameterLayout.of([()], count)
         self.gain, self.biases = np.eye(3), np.zeros((count, 3))
-        self.lags_s = np.zeros(count)
-        for k in set(self.recording_of_segment):
+        self.lags_s = np.zeros(count) if lags_s is None else lags_s
+        for k in set(self.recording_of_segment) if lags_s is None else ():
             self.lags_s[k] = coarse_lag_s(
                 [s for s, r in zip(segments, recordings, strict=True) if r == k]
             )

@@ -12,7 +12,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gyrorig_protocol.errors import InputError
+from gyrorig_solver.data import FloatArray
 from gyrorig_solver.data.samples import GyroSamples
+from gyrorig_solver.estimate.attitude.attitude_conventions import check_convention
 from gyrorig_solver.estimate.attitude.attitude_matching import match_segments
 from gyrorig_solver.estimate.attitude.attitude_repair import remove_outliers, remove_swapped
 from gyrorig_solver.estimate.attitude.attitude_solver import AttitudeSolver, LinearisedModel
@@ -64,7 +66,8 @@ def resolve_times(
     """Return the reference on the times that agree best with the gyro.
 
     Raises:
-        InputError: gyro and reference hardly overlap, or jitter hides which frames are missing.
+        InputError: gyro and reference hardly overlap, the quaternions have another convention,
+            or jitter hides which frames are missing.
     """
     stamps = reference.stamps
     if stamps is not None and not stamps.is_resolved:
@@ -74,19 +77,20 @@ def resolve_times(
             "ms)",
             "record the camera's own times, or avoid lost frames",
         )
-    outliers, remarks = 0, []
+    remark = check_convention(samples, reference)
+    outliers, remarks = 0, [remark] if remark else []
     best = _best_candidate(samples, reference.alternatives(), band_hz)
     for _ in range(MAX_REPAIRS):
         repaired, found_outliers, jumps = remove_outliers(best.solver, best.reference)
         if not found_outliers and not jumps:
             break
         outliers += found_outliers
-        best = _fit_drift(samples, repaired, band_hz)
+        best = _fit_drift(samples, repaired, band_hz, best.solver.lags_s)
     if best.reference.is_cut is not None:
         repaired, text = remove_swapped(best.solver, best.reference)
         if text:
             remarks.append(text)
-            best = _fit_drift(samples, repaired, band_hz)
+            best = _fit_drift(samples, repaired, band_hz, best.solver.lags_s)
     drift = _stamp_drift(best.reference)
     return ResolvedReference(
         best.reference,
@@ -111,11 +115,10 @@ def _best_candidate(
         segments = match_segments(samples, corrected)
         if not segments:
             continue
-        solver = AttitudeSolver(segments, band_hz)
+        solver = AttitudeSolver(segments, band_hz, lags_s=smoothest.solver.lags_s)
         solver.gain, solver.biases = smoothest.solver.gain, smoothest.solver.biases
-        solver.lags_s = smoothest.solver.lags_s
         if _log_variance(solver.linearise()) < smoothest.log_variance - MIN_GAIN_NATS:
-            candidate = _fit_drift(samples, reference, band_hz)
+            candidate = _fit_drift(samples, reference, band_hz, smoothest.solver.lags_s)
             if candidate.log_variance < best.log_variance - MIN_GAIN_NATS:
                 best = candidate
     return best
@@ -134,14 +137,20 @@ def no_overlap() -> InputError:
     )
 
 
-def _fit_drift(samples: GyroSamples, reference: AttitudeReference, band_hz: float) -> _Candidate:
+def _fit_drift(
+    samples: GyroSamples,
+    reference: AttitudeReference,
+    band_hz: float,
+    lags_s: FloatArray | None = None,
+) -> _Candidate:
     """Fit one reference, and correct its times until the residual shows no drift."""
     for iteration in range(MAX_DRIFT_ITERATIONS):
         segments = match_segments(samples, reference)
         if not segments:
             raise no_overlap()
-        solver = AttitudeSolver(segments, band_hz)
+        solver = AttitudeSolver(segments, band_hz, lags_s=lags_s)
         linearised = solver.run()
+        lags_s = solver.lags_s
         drift = estimate_drift(solver)
         if drift.is_none or iteration == MAX_DRIFT_ITERATIONS - 1:
             break
@@ -164,9 +173,7 @@ def _corrected(attitudes: AttitudeReference, drift: LagDrift) -> AttitudeReferen
     )
 
 
-def _stamp_drift(
-    attitudes: AttitudeReference,
-) -> LagDrift:
+def _stamp_drift(attitudes: AttitudeReference) -> LagDrift:
     """Return the drift of the times of the fit relative to the recorded stamps."""
     stamps = attitudes.stamps
     if stamps is None or stamps.stamp_s.size < MIN_STAMPS:
