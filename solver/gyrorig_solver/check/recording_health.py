@@ -13,6 +13,7 @@ from gyrorig_protocol.identity import BoardId
 from gyrorig_protocol.recording.mcap.losses import Loss
 from gyrorig_protocol.recording.messages import EventKind, PtuStatus, imu_raw_topic
 from gyrorig_protocol.recording.recording import Recording, times_ns
+from gyrorig_solver.check.attitude_health import AttitudeHealth, examine_attitudes
 from gyrorig_solver.data.samples import GyroSamples, load_samples
 from gyrorig_solver.estimate import ObservabilityReport
 from gyrorig_solver.pipeline.board_data import BoardData
@@ -40,6 +41,7 @@ class BoardHealth:
     no_reference: str = ""  # the reason for that
     fault: str = ""  # why the board cannot be used
     clock_steps: int = 0  # of its clock or the host's, without a restart
+    attitudes: AttitudeHealth | None = None  # the reference attitudes, on the board's time axis
 
 
 @dataclass(frozen=True, slots=True)
@@ -160,6 +162,7 @@ def _board_health(recording: Recording, board: BoardId) -> BoardHealth:
         observability=observability,
         no_reference=no_reference,
         clock_steps=clock.steps,
+        attitudes=examine_attitudes(recording, samples),
     )
 
 

@@ -9,6 +9,7 @@ import click
 from gyrorig_protocol.errors import GyrorigError, InputError
 from gyrorig_protocol.recording.reader import read_recording
 from gyrorig_solver.check import RecordingHealth, examine_recording, health_problems, health_verdict
+from gyrorig_solver.check.attitude_health import attitude_lines
 from gyrorig_solver.check.recording_health import BoardHealth, UnitHealth
 from gyrorig_solver.commands.board_selection import select_boards
 from gyrorig_solver.commands.terminal import (
@@ -126,6 +127,8 @@ def _board_lines(board: BoardHealth) -> list[str]:
         f"latency {1e3 * board.latency_median_s:.2f} ms (median), "
         f"{1e3 * board.latency_max_s:.2f} ms (maximum); {board.clock_pings} clock pings",
     ]
+    if board.attitudes is not None:
+        lines += [f"{blank}{line}" for line in attitude_lines(board.attitudes)]
     observability = board.observability
     if observability is None:
         lines.append(f"{blank}determines no parameter")

@@ -15,6 +15,7 @@ What to use when:
   method of the paper.
 """
 
+from gyrorig_solver.estimate.attitude.attitude_conventions import judge_conventions
 from gyrorig_solver.estimate.attitude.attitude_fit import fit_attitude
 from gyrorig_solver.estimate.cascade import total_effect
 from gyrorig_solver.estimate.converged_fit import ConvergedFit
@@ -127,6 +128,7 @@ __all__ = [
     "free_term",
     "is_unit_cause",
     "join_signals",
+    "judge_conventions",
     "marginalise",
     "nominal_levels",
     "propagate_to_factors",

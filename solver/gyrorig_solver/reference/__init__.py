@@ -6,7 +6,11 @@ What to use when: `reference_motion.ReferenceMotion` is the interface that the e
 `rest_reference` a board at rest. `rotations` has the rotation algebra.
 """
 
-from gyrorig_solver.reference.attitude_reference import AttitudeReference, read_attitude
+from gyrorig_solver.reference.attitude_reference import (
+    MAX_BRIDGED_S,
+    AttitudeReference,
+    read_attitude,
+)
 from gyrorig_solver.reference.gravity_reference import find_poses
 from gyrorig_solver.reference.known_turns import TimeInterval, TurnReference, read_turns
 from gyrorig_solver.reference.reference_motion import ReferenceMotion
@@ -27,6 +31,7 @@ __all__ = [
     "DETENT_VARIANCE",
     "LAW_QUANTITIES",
     "LAW_VALUES",
+    "MAX_BRIDGED_S",
     "UNUSABLE_STATUS",
     "AttitudeReference",
     "LawProfile",
