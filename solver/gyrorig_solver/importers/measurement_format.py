@@ -6,6 +6,7 @@ for the one that a person named. A new format is a new file in `importers.format
 
 import importlib
 import pkgutil
+import zipfile
 from dataclasses import dataclass
 from functools import cache
 from itertools import islice
@@ -14,7 +15,13 @@ from types import MappingProxyType
 from typing import Protocol
 
 from gyrorig_protocol.errors import InputError
-from gyrorig_protocol.file_kinds import HEAD_BYTES, RECORDING, describe_file_kind
+from gyrorig_protocol.file_kinds import (
+    DAMAGED_ZIP,
+    HEAD_BYTES,
+    RECORDING,
+    describe_file_kind,
+    describe_remedy,
+)
 from gyrorig_solver.importers import formats as format_folder
 from gyrorig_solver.importers.map_keys import ImportMap
 from gyrorig_solver.importers.measured_streams import MeasuredStreams
@@ -139,7 +146,8 @@ def find_format(source: Path, *, has_map: bool = False) -> tuple[MeasurementForm
         )
     raise InputError(
         f"{source.name} is {kind}, which `gyrorig import` cannot read",
-        "give a file or folder of one of the formats on the page docs/how-to/import.md",
+        describe_remedy(kind)
+        or "give a file or folder of one of the formats on the page docs/how-to/import.md",
     )
 
 
@@ -148,7 +156,10 @@ def _describe_source(source: Path) -> str:
         names = sorted(path.name for path in islice(source.iterdir(), MAX_LISTED))
         listed = ", ".join(name[:40] for name in names[:6]) or "nothing"
         return f"a folder that contains {listed}{' and more' if len(names) > 6 else ''}"
-    return describe_file_kind(read_head(source))
+    head = read_head(source)
+    if head.startswith(b"PK") and not zipfile.is_zipfile(source):
+        return DAMAGED_ZIP
+    return describe_file_kind(head)
 
 
 def read_head(source: Path, size: int = HEAD_BYTES) -> bytes:

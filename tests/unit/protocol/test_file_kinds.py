@@ -40,7 +40,15 @@ def npz() -> bytes:
         (b"schema: gyrorig/other/1\n", "a document with the schema 'gyrorig/other/1'"),
         (b"rig: bench\nptu: {port: emulated}\n", "a document without a schema"),
         (b"- 1\n- 2\n", "a document without a schema"),
-        (b"\n  <!DOCTYPE html>\n<html>", "a report page (HTML)"),
+        (b"\n  <!DOCTYPE html>\n<html>", "a web page (HTML)"),
+        (b'<!doctype html><meta http-equiv="Content-Security-Policy">', "a report page (HTML)"),
+        (b"\xff\xfet\0,\0x\0\n\0", "a text in UTF-16"),
+        (
+            b"version https://git-lfs.github.com/spec/v1\n",
+            "a pointer of Git LFS instead of the file itself",
+        ),
+        (b"$GPGGA,123519,4807.038,N\n", "a GPS log (NMEA)"),
+        (b"\x1f\x8b\x08\0", "a compressed file (gzip)"),
         (b"time,x,y,z\n0.0,1,2,3\n", "a table (CSV)"),
         (b"# phone\n0;1;2\n1;2;3\n", "a table (CSV)"),
         (b"hello, world\nthis is text\n", "a text file"),
@@ -117,7 +125,10 @@ def test_a_result_document_needs_the_key_schema() -> None:
     [
         (b"\x89MCAP0\r\n" + bytes(100), "a recording (MCAP)"),
         (npz(), "a NumPy archive (npz)"),
-        (b"<!doctype html><title>Report</title>", "a report page (HTML)"),
+        (
+            b'<!doctype html><meta http-equiv="Content-Security-Policy"><title>Report</title>',
+            "a report page (HTML)",
+        ),
         (b"time,x,y\n0,1,2\n" * 500, "a table (CSV)"),
     ],
 )

@@ -10,7 +10,7 @@ import stat
 from pathlib import Path
 
 from gyrorig_protocol.errors import InputError, MachineError
-from gyrorig_protocol.file_kinds import CSV_TABLE, HEAD_BYTES, NUMPY_ARCHIVE, describe_file_kind
+from gyrorig_protocol.file_kinds import HEAD_BYTES, IMPORTABLE, describe_file_kind
 from gyrorig_protocol.recording.mcap.mcap_summary import MAGIC
 
 _STRIDE_BYTES = 16 << 20  # pages are released in steps of this size, at almost no cost
@@ -68,7 +68,7 @@ def map_mcap_file(path: Path) -> memoryview:
     if data[: len(MAGIC)] != MAGIC:
         kind = describe_file_kind(bytes(data[:HEAD_BYTES]))
         remedy = "give the file of a recording (.mcap)"
-        if kind in (CSV_TABLE, NUMPY_ARCHIVE):
+        if kind in IMPORTABLE:
             remedy = "convert it with `gyrorig import`"
         raise InputError(f"{path} is {kind}, not a recording", remedy)
     return data
