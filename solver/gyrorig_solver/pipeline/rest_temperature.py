@@ -145,9 +145,16 @@ class RestTemperature:
         return replace(data, changed_sessions=changed)
 
     def _subtract(self, samples: GyroSamples, temperature: BoardTemperature) -> GyroSamples:
+        grid_s = temperature.time_s
+        rise = temperature.die_temperature_rise(grid_s, self.fit.lag_s)
+        bias = self.fit.curve.change(rise + temperature.mean_degc)
+        hysteresis = self.fit.hysteresis
+        if hysteresis is not None and hysteresis.is_fitted:
+            bias += hysteresis.change(rise + temperature.mean_degc)
+
         def change(time_s: FloatArray) -> FloatArray:
-            rise = temperature.die_temperature_rise(time_s, self.fit.lag_s)
-            return self.fit.curve.change(rise + temperature.mean_degc)
+            columns = [np.interp(time_s, grid_s, bias[:, axis]) for axis in range(3)]
+            return np.stack(columns, axis=1)
 
         return subtract_rates(samples, change)
 

@@ -119,6 +119,26 @@ def test_recordings_at_several_temperatures_give_one_curve(
     assert record.range_degc == pytest.approx([5.0, 55.0], abs=1.0)
 
 
+def test_a_hysteresis_is_stated_and_not_left_in_the_residual(
+    import_soak: ImportSoak, tmp_path: Path, capsys: Captured
+) -> None:
+    recording, _ = import_soak(Soak(loop_dps=0.12), 4)
+    board = solve([recording], tmp_path / "cal", capsys)
+    document = document_of(board)
+    record = document.temperature
+    assert record is not None
+    assert record.hysteresis is not None
+    assert record.hysteresis.fitted
+    assert np.degrees(record.hysteresis.width) == pytest.approx([0.12] * 3, abs=0.03)
+    assert record.lag_std_s is not None
+    assert abs(record.lag_s - 20.0) < 3.0 * record.lag_std_s
+    assert document.findings is not None
+    assert document.findings.verdict == "explained"
+    page = Path(board["report"]).read_text(encoding="utf-8")
+    assert "Hysteresis: the bias while heating" in page
+    assert "temperature, °C" in page
+
+
 def test_a_curve_is_exported_without_a_gain(
     import_soak: ImportSoak, tmp_path: Path, capsys: Captured
 ) -> None:

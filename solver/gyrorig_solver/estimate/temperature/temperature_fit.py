@@ -13,7 +13,7 @@ that the data need then. A dependence is stated only if its evidence is larger b
 
 import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -52,6 +52,13 @@ class Hysteresis:
     std: FloatArray  # (3,)
     p_value: float
     is_fitted: bool  # whether it is significant and part of the model
+    loop_share: float  # of the span, in which the bias reaches its other branch
+    span_k: float
+
+    def change(self, die_degc: FloatArray) -> FloatArray:
+        """Return the part of the bias by hysteresis, for successive temperatures (n,), (n, 3)."""
+        state = heating_state(die_degc, self.span_k, self.loop_share)
+        return np.asarray(0.5 * np.outer(state, self.width), dtype=np.float64)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -122,15 +129,21 @@ def fit_temperature(
     weights = _curve_weights(bases, fits)
     best = _choose(weights)
     basis, fit = bases[best], fits[best]
+    # Of the curve with the largest evidence: the chosen one can be more complex.
+    evidence_nats = max(f.log_evidence for f in fits) - none.log_evidence
     spread = problem.spread_of_curves(basis, bases, fits, weights)
     hysteresis = None
     if loop:
         without = problem.fit(basis, lag_s, loop=False)
-        fit = problem.fit_loop(basis, lag_s, fit)
         hysteresis = _hysteresis(fit, without, problem, basis, lag_s)
+        if hysteresis.is_fitted:
+            lag_s, fit = problem.fit_loop(basis)
+            without = problem.fit(basis, lag_s, loop=False)
+            hysteresis = _hysteresis(fit, without, problem, basis, lag_s)
         if not hysteresis.is_fitted:
             fit, none = without, problem.fit(None, lag_s, loop=False)
-    return problem.summarize(basis, fit, none, lag_s, hysteresis, spread)
+    result = problem.summarize(basis, fit, none, lag_s, hysteresis, spread)
+    return replace(result, evidence_nats=float(evidence_nats))
 
 
 def _curve_weights(bases: Sequence[CurveBasis], fits: Sequence[SlowFit]) -> FloatArray:
@@ -159,9 +172,11 @@ def _hysteresis(
     size, variance = fit.sizes[-2], covariance[:, -2, -2] * widening**2
     statistic = float(np.sum(size**2 / variance))
     p_value = chi2_upper_tail(statistic, 3)
-    is_fitted = p_value < LOOP_FALSE_ALARM and fit.log_evidence > without.log_evidence
+    is_fitted = bool(p_value < LOOP_FALSE_ALARM and fit.log_evidence > without.log_evidence)
     # The state goes from -1 to 1.
-    return Hysteresis(2.0 * size, 2.0 * np.sqrt(variance), p_value, is_fitted)
+    return Hysteresis(
+        2.0 * size, 2.0 * np.sqrt(variance), p_value, is_fitted, problem.loop_share, problem.span_k
+    )
 
 
 class _Problem:
@@ -182,6 +197,7 @@ class _Problem:
         self.distinct_points = int(np.unique(np.round(degc, 2)).size)
         self.has_loop = any(shows_loop(s.die_degc(0.0)) for s in series)
         self.loop_share = LOOP_SHARES[0]
+        self.lag_spread_s = 0.0  # of the lag between the shapes of a loop
 
     def find_lag(self, basis: CurveBasis) -> float:
         """Return the lag with the largest posterior density."""
@@ -212,16 +228,17 @@ class _Problem:
             best = max(density, key=lambda lag_s: density[lag_s])
         return best
 
-    def fit_loop(self, basis: CurveBasis, lag_s: float, first: SlowFit) -> SlowFit:
-        """Return the fit with the most likely shape of the loop; `first`: with the first shape."""
-        best, best_share = first, self.loop_share
-        for share in LOOP_SHARES[1:]:
+    def fit_loop(self, basis: CurveBasis) -> tuple[float, SlowFit]:
+        """Return lag and fit with the most likely shape of the loop, which acts like a lag."""
+        fits: dict[float, tuple[float, SlowFit]] = {}
+        for share in LOOP_SHARES:
             self.loop_share = share
-            fit = self.fit(basis, lag_s, loop=True, start=first.noise)
-            if fit.log_likelihood > best.log_likelihood:
-                best, best_share = fit, share
-        self.loop_share = best_share
-        return best
+            lag_s = self.find_lag(basis)
+            fits[share] = lag_s, self.fit(basis, lag_s, loop=True)
+        self.loop_share = max(fits, key=lambda share: fits[share][1].log_likelihood)
+        lags_s = [lag_s for lag_s, _ in fits.values()]
+        self.lag_spread_s = max(abs(lag_s - fits[self.loop_share][0]) for lag_s in lags_s)
+        return fits[self.loop_share]
 
     def fit(
         self,
@@ -258,10 +275,10 @@ class _Problem:
             value=fit.sizes[-1],
             covariance=selected,
             lag_s=lag_s,
-            lag_std_s=lag_std_s,
+            lag_std_s=float(np.hypot(lag_std_s, self.lag_spread_s)),
             hysteresis=hysteresis,
             run_std=np.full(3, np.nan) if is_one else fit.run_std,
-            evidence_nats=fit.log_evidence - none.log_evidence,
+            evidence_nats=float(fit.log_evidence - none.log_evidence),
             statistic=2.0 * (fit.log_likelihood - none.log_likelihood),
             range_degc=self.range_degc,
             points=self.points(lag_s),

@@ -1,0 +1,187 @@
+"""`gyrorig temperature`: curves from tables and calibrations, applied, and exported as C."""
+
+import json
+import shutil
+import subprocess
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+import yaml
+
+from gyrorig_solver import Calibration, cli
+from gyrorig_solver.calibration import CalibrationDocument, parse_calibration
+from gyrorig_solver.export import ExportSource, export_text
+from gyrorig_solver.pipeline.temperature_values import (
+    TemperatureValues,
+    with_temperature_curves,
+)
+
+GOLDEN = Path(__file__).parents[1] / "output" / "golden" / "good.yaml"
+Captured = pytest.CaptureFixture[str]
+HEADER = "temperature_degc,bias_x,bias_y,bias_z,scale_x,scale_y,scale_z\n"
+
+
+def true_bias_dps(degc: Any) -> Any:
+    x = (np.asarray(degc) - 25.0) / 25.0
+    return np.stack([0.4 * x + 0.1 * x**2, -0.2 * x, 0.3 - 0.05 * x**3], axis=-1)
+
+
+def true_scale(degc: Any) -> Any:
+    x = (np.asarray(degc) - 25.0)[..., None] / 25.0
+    return np.array([1.02, 0.98, 1.0]) * (1.0 + 0.004 * x)
+
+
+@pytest.fixture
+def table(tmp_path: Path) -> Path:
+    rng = np.random.default_rng(3)
+    degc = np.linspace(0.0, 50.0, 21)
+    bias = true_bias_dps(degc) + rng.normal(0.0, 0.004, (21, 3))
+    scale = true_scale(degc) + rng.normal(0.0, 1e-4, (21, 3))
+    path = tmp_path / "chamber.csv"
+    rows = np.column_stack([degc, bias, scale])
+    np.savetxt(path, rows, fmt="%.6f", delimiter=",", header=HEADER.strip(), comments="")
+    return path
+
+
+def solved(
+    arguments: list[str], out: Path, capsys: Captured
+) -> tuple[CalibrationDocument, dict[str, Any]]:
+    capsys.readouterr()
+    assert cli.run(["temperature", *arguments, "--out", str(out), "--json"]) == 0
+    result = json.loads(capsys.readouterr().out)
+    return parse_calibration(Path(result["file"]).read_bytes(), "result"), result
+
+
+def test_a_table_gives_curves_of_bias_and_scale(
+    table: Path, tmp_path: Path, capsys: Captured
+) -> None:
+    document, result = solved([str(table), "--calibration", str(GOLDEN)], tmp_path / "cal", capsys)
+    record = document.temperature
+    assert record is not None
+    assert record.scale is not None
+    assert record.range_degc == [0.0, 50.0]
+    calibration = Calibration(document)
+    degc = np.array([3.0, 25.0, 47.0])
+    rate = np.array([[0.5, -0.4, 0.3]] * 3)
+    lower, rotation = (
+        np.array(m, dtype=np.float64) for m in (document.matrices.T, document.matrices.M)
+    )
+    read = true_scale(degc) * (rate @ (lower @ rotation).T) + np.radians(true_bias_dps(degc))
+    output = calibration.rates(read, "rad/s", temperature_degc=degc)
+    np.testing.assert_allclose(output, rate, atol=5e-4)
+    assert "scale factor follows the temperature" in Path(result["report"]).read_text("utf-8")
+    command = ["temperature", str(table), "--board", "GY80-0007", "--out", str(tmp_path / "cal")]
+    assert cli.run(command) == 0  # the next version
+    assert (tmp_path / "cal" / "GY80-0007" / "v0002.yaml").exists()
+
+
+def test_calibrations_at_several_temperatures(tmp_path: Path, capsys: Captured) -> None:
+    paths = []
+    for k, degc in enumerate([0.0, 10.0, 20.0, 30.0, 40.0, 50.0]):
+        plain = yaml.safe_load(GOLDEN.read_text())
+        plain["parameters"]["bias"]["value"] = np.radians(true_bias_dps(degc)).tolist()
+        plain["parameters"]["scale"]["value"] = true_scale(degc).ravel().tolist()
+        plain["quality"]["mean_temperature_degc"] = degc
+        path = tmp_path / f"v{k}.yaml"
+        path.write_text(yaml.safe_dump(plain))
+        paths.append(str(path))
+    document, _ = solved(paths, tmp_path / "cal", capsys)
+    record = document.temperature
+    assert record is not None
+    assert record.scale is not None
+    slope = np.array(record.scale.coefficients)[0]
+    np.testing.assert_allclose(slope, 0.004 / 25.0, rtol=0.05)
+    assert document.board.id == "GY80-0007"
+
+
+def test_wrong_tables_are_one_line(table: Path, tmp_path: Path, capsys: Captured) -> None:
+    few, word, names, flat = (tmp_path / name for name in ("few", "word", "names", "flat"))
+    few.write_text(HEADER + "1,1,1,1,1,1,1\n")
+    word.write_text(HEADER + "1,1,x,1,1,1,1\n")
+    names.write_text("T,x,y,z\n1,2,3,4\n")
+    flat.write_text(
+        HEADER + "".join(f"{t},{0.1 * (-1) ** t},0,0.1,1,1,1\n" for t in range(0, 40, 3))
+    )
+    for path, status, words in (
+        (few, 2, "too few"),
+        (word, 3, "'x' in the column bias_y"),
+        (names, 3, "has no column 'temperature_degc'"),
+        (flat, 3, "does not depend significantly"),
+        (tmp_path / "absent", 3, "cannot be read"),
+    ):
+        assert cli.run(["temperature", str(path), "--board", "B"]) == status
+        error = capsys.readouterr().err
+        assert words in error
+        assert error.count("\n") == 1
+    assert cli.run(["temperature", str(table)]) == 2
+    assert "--board" in capsys.readouterr().err
+
+
+@pytest.mark.skipif(shutil.which("gcc") is None, reason="no C compiler")
+def test_the_c_function_evaluates_a_spline_and_reports_the_range(tmp_path: Path) -> None:
+    document = parse_calibration(GOLDEN.read_bytes(), "good")
+    degc = np.linspace(0.0, 60.0, 31)
+    kink = np.maximum(degc - 35.0, 0.0)[:, None] * [2e-3, -1e-3, 5e-4]
+    noise = np.random.default_rng(1).normal(0.0, 1e-4, (31, 3))
+    values = TemperatureValues(
+        "made", degc, kink + noise, np.zeros((31, 3)), 1.0 + 1e-4 * degc[:, None] * np.ones(3),
+        np.zeros((31, 3)), None,
+    )  # fmt: skip
+    document = with_temperature_curves(document, values)
+    assert document.temperature is not None
+    assert document.temperature.bias is not None
+    assert document.temperature.bias.kind == "spline"
+    source = ExportSource.of(document)
+    (tmp_path / "board.h").write_text(export_text(source, "c"))
+    stem = "gy80_0007"
+    (tmp_path / "main.c").write_text(f"""
+#include <stdio.h>
+#include "board.h"
+int main(void)
+{{
+    const int32_t counts[3] = {{1000, -2000, 3000}};
+    float rate[3], degc;
+    for (degc = -6.0f; degc < 70.0f; degc += 6.0f) {{
+        const int outside = {stem}_rate_float_at(counts, degc, rate);
+        printf("%.9g %d %.9g %.9g %.9g\\n", (double)degc, outside, (double)rate[0],
+               (double)rate[1], (double)rate[2]);
+    }}
+    return {stem}_self_test();
+}}
+""")
+    program = tmp_path / "main"
+    flags = ["-std=c99", "-Wall", "-Wextra", "-Wconversion", "-Werror"]
+    subprocess.run(["gcc", *flags, str(tmp_path / "main.c"), "-o", str(program)], check=True)
+    text = subprocess.run([str(program)], check=True, capture_output=True, text=True).stdout
+    rows = np.array([[float(word) for word in line.split()] for line in text.splitlines()])
+    inside = rows[(rows[:, 0] >= 0.0) & (rows[:, 0] <= 60.0)]
+    calibration = Calibration(document)
+    scale = calibration.nominal_scale_rad_s
+    assert scale is not None
+    wanted = calibration.rates(
+        np.tile([1000, -2000, 3000], (len(inside), 1)), temperature_degc=inside[:, 0]
+    )
+    np.testing.assert_allclose(inside[:, 2:], wanted, atol=2e-6)
+    assert rows[:, 1].tolist() == [float(not 0.0 <= row[0] <= 60.0) for row in rows]
+
+
+def test_autopilots_get_the_nearest_cubic_with_its_error() -> None:
+    document = parse_calibration(GOLDEN.read_bytes(), "good")
+    degc = np.linspace(0.0, 60.0, 31)
+    kink = np.maximum(degc - 35.0, 0.0)[:, None] * [2e-3, -1e-3, 5e-4]
+    noise = np.random.default_rng(1).normal(0.0, 1e-4, (31, 3))
+    values = TemperatureValues("made", degc, kink + noise, np.zeros((31, 3)), None, None, None)
+    document = with_temperature_curves(document, values)
+    curve = ExportSource.of(document).bias_curve
+    assert curve is not None
+    cubic, error = curve.as_cubic()
+    text = export_text(ExportSource.of(document), "px4")
+    assert f"differs from the calibration by at most {error.max():.2g} rad/s" in text
+    assert np.abs(cubic.change(degc) - curve.change(degc)).max() == pytest.approx(
+        error.max(), rel=0.1
+    )
+    plain = msgspec.structs.replace(document, temperature=None)
+    assert ExportSource.of(plain).bias_curve is None
