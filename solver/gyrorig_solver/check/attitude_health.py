@@ -94,7 +94,7 @@ def attitude_lines(health: AttitudeHealth) -> list[str]:
         f"{health.attitudes} reference attitudes, {health.rate_hz:.2f} frames per second; "
         f"lost {health.lost}, repeated {health.repeated}, missing frames {health.missing}, "
         f"gaps {health.gaps}",
-        f"stamps: spread of the steps {1e3 * health.step_std_s:.2f} ms, "
+        f"timestamps: spread of the steps {1e3 * health.step_std_s:.2f} ms, "
         f"jitter {1e3 * health.jitter_s:.2f} ms{late}",
         f"turn rate {np.degrees(rms_rad_s):.1f} deg/s rms, "
         f"99 % below {np.degrees(high_rad_s):.0f} deg/s",

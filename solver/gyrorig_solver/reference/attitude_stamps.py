@@ -78,7 +78,7 @@ def read_stamps(
     """
     period_s = _frame_period(stamp_s) if nominal_hz is None else 1.0 / nominal_hz
     is_increasing = bool(np.all(np.diff(stamp_s) > 0.0))
-    as_recorded = FrameTimes("the stamps as recorded", stamp_s)
+    as_recorded = FrameTimes("the timestamps as recorded", stamp_s)
     frame = np.arange(stamp_s.size, dtype=np.int64)
     if stamp_s.size < MIN_STAMPS or period_s <= 0.0:
         return AttitudeStamps(stamp_s, frame, max(period_s, 1e-9), 0.0, False, 0.0, (as_recorded,))

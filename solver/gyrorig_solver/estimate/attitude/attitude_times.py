@@ -71,10 +71,10 @@ def resolve_times(
     """
     stamps = reference.stamps
     if stamps is not None and not stamps.is_resolved:
+        jitter_ms, period_ms = 1e3 * stamps.jitter_s, 1e3 * stamps.period_s
         raise InputError(
-            f"the times of the reference attitudes jitter by {1e3 * stamps.jitter_s:.1f} ms, and "
-            f"the jitter hides which frames are missing (one frame is {1e3 * stamps.period_s:.1f} "
-            "ms)",
+            f"the times of the reference attitudes jitter by {jitter_ms:.1f} ms, and the jitter "
+            f"hides which frames are missing (one frame is {period_ms:.1f} ms)",
             "record the camera's own times, or avoid lost frames",
         )
     remark = check_convention(samples, reference)
