@@ -57,6 +57,11 @@ def read_dataflash(path: Path, wanted: frozenset[str]) -> DataflashLog:
         InputError: the log describes no messages, or is too large.
     """
     size = path.stat().st_size
+    if size < _FORMAT_LENGTH:
+        raise InputError(
+            f"the file {path.name} is too short for a DataFlash log",
+            "download the log from the flight controller again",
+        )
     with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
         types, places, skipped = _scan(data, size, wanted)
         if not types:

@@ -249,14 +249,31 @@ def _time_column(names: Sequence[str]) -> str | None:
 
 
 def _axis_columns(names: Sequence[str], sensor_pattern: str) -> list[str] | None:
-    """Return the columns x, y and z of one sensor."""
-    columns: dict[str, str] = {}
+    """Return the columns x, y and z of one sensor, without those of a corrected copy.
+
+    Raises:
+        InputError: two sensors of this kind have such columns.
+    """
+    columns: dict[str, list[str]] = {}
     for name in names:
         bare_name = re.sub(r"[\[(].*?[\])]", "", name.lower()).strip()
         axis = re.search(r"(?:^|[^a-z]|(?<=[agw]))([xyz])(?:$|[^a-z])", bare_name)
-        if axis and re.search(sensor_pattern, bare_name) and axis[1] not in columns:
-            columns[axis[1]] = name
-    return [columns[axis] for axis in "xyz"] if len(columns) == 3 else None
+        if axis and re.search(sensor_pattern, bare_name) and "linear" not in bare_name:
+            columns.setdefault(axis[1], []).append(name)
+    if len(columns) != 3:
+        return None
+    chosen = []
+    for axis_name in "xyz":
+        raw = [name for name in columns[axis_name] if "uncal" in name.lower()]
+        candidates = raw or columns[axis_name]
+        if len(set(candidates)) > 1:
+            raise InputError(
+                f"the columns {candidates[0][:40]} and {candidates[1][:40]} of the phone's log "
+                "both seem to be the same axis of a sensor",
+                "import the log with `gyrorig import csv` and a column map (--map)",
+            )
+        chosen.append(candidates[0])
+    return chosen
 
 
 def _stamps_in_ns(timestamps: FloatArray, name: str, where: str) -> IntArray:

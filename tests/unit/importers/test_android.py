@@ -245,3 +245,21 @@ def test_the_time_of_a_phone_alone_starts_at_zero(
     assert alone.start_ns == 0
     assert alone.metadata["gyrorig.board.PHONE"]["link"] == "file"
     assert load_samples(alone, "PHONE").number.size == imported.samples
+
+
+def test_of_two_gyroscopes_in_one_table_the_uncalibrated_one_is_read(tmp_path: Path) -> None:
+    source = tmp_path / "log.csv"
+    rows = "".join(f"{k / 100},9,9,9,1,2,3\n" for k in range(50))
+    head = "seconds_elapsed,gyro_x,gyro_y,gyro_z,gyroUncalibrated_x,gyroUncalibrated_y,"
+    source.write_text(head + "gyroUncalibrated_z\n" + rows)
+    assert read_phone_log(source).rate_rad_s[0].tolist() == [1.0, 2.0, 3.0]
+
+
+def test_two_gyroscopes_in_one_table_are_refused(tmp_path: Path) -> None:
+    """A phone and a watch: the first would be read without a word."""
+    source = tmp_path / "log.csv"
+    rows = "".join(f"{k / 100},9,9,9,1,2,3\n" for k in range(50))
+    head = "seconds_elapsed,gyro_x,gyro_y,gyro_z,watch_gyro_x,watch_gyro_y,watch_gyro_z\n"
+    source.write_text(head + rows)
+    with pytest.raises(InputError, match="columns gyro_x and watch_gyro_x"):
+        read_phone_log(source)

@@ -97,8 +97,8 @@ def _read_topics(source: Path, notes: list[str]) -> dict[str, list[Topic]]:
 
     names = [*_GYROS, *_OUTSIDE_ATTITUDES, _OWN_ATTITUDE, _ACCEL]
     try:
-        with contextlib.redirect_stdout(io.StringIO()):  # it prints warnings
-            log = ULog(str(source), names)
+        with source.open("rb") as file, contextlib.redirect_stdout(io.StringIO()):
+            log = ULog(file, names)  # prints warnings
     except ModuleNotFoundError:
         raise
     except Exception as error:  # pyulog raises what its parsing of damaged bytes happens to raise
