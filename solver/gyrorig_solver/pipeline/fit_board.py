@@ -23,8 +23,9 @@ def solve_recordings(
     Args:
         recordings: in any order.
         board: in each of them.
-        extend: causes of the catalogue to fit in addition to the base model; with a unit only.
-        named_terms: causes that a search named, to fit too; with a unit only.
+        extend: causes of the catalogue to fit in addition to the base model, where the reference
+            gives the rate at each moment.
+        named_terms: causes that a search named, to fit too; with a unit or at rest.
 
     Raises:
         InputError: the board is not in a recording, or there is no reference of any kind.
