@@ -152,13 +152,17 @@ def _table_rows(path: Path, unit: float) -> list[dict[str, float]]:
         ) from fault
     delimiter = max(",;\t", key=(lines[0] if lines else "").count)
     reader = csv.DictReader(lines, delimiter=delimiter, skipinitialspace=True)
-    names = [name.strip() for name in reader.fieldnames or []]
+    try:
+        names = [name.strip() for name in reader.fieldnames or []]
+        rows = list(reader)
+    except csv.Error as fault:
+        raise InputError(f"the table {path.name} cannot be read ({fault})", TABLE_REMEDY) from fault
     missing = [
         name for name in ("temperature_degc", *(f"bias_{a}" for a in AXES)) if name not in names
     ]
     if missing:
         raise InputError(f"the table {path.name} has no column {missing[0]!r}", TABLE_REMEDY)
-    return [_table_row(row, number, path.name, unit) for number, row in enumerate(reader, start=1)]
+    return [_table_row(row, number, path.name, unit) for number, row in enumerate(rows, start=1)]
 
 
 def _table_row(row: dict[str, str], number: int, name: str, unit: float) -> dict[str, float]:

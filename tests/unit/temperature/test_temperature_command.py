@@ -98,7 +98,10 @@ def test_calibrations_at_several_temperatures(tmp_path: Path, capsys: Captured) 
 
 
 def test_wrong_tables_are_one_line(table: Path, tmp_path: Path, capsys: Captured) -> None:
-    few, word, names, flat = (tmp_path / name for name in ("few", "word", "names", "flat"))
+    few, word, names, flat, damaged = (
+        tmp_path / name for name in ("few", "word", "names", "flat", "damaged")
+    )
+    damaged.write_bytes(HEADER.encode() + b"1,1,1,1,1,1\x00,1\n" * 5)
     few.write_text(HEADER + "1,1,1,1,1,1,1\n")
     word.write_text(HEADER + "1,1,x,1,1,1,1\n")
     names.write_text("T,x,y,z\n1,2,3,4\n")
@@ -111,6 +114,7 @@ def test_wrong_tables_are_one_line(table: Path, tmp_path: Path, capsys: Captured
         (names, 3, "has no column 'temperature_degc'"),
         (flat, 3, "does not depend significantly"),
         (tmp_path / "absent", 3, "cannot be read"),
+        (damaged, 3, "damaged"),
     ):
         assert cli.run(["temperature", str(path), "--board", "B"]) == status
         error = capsys.readouterr().err
