@@ -6,7 +6,7 @@ from typing import Any
 
 from tests.fuzz.target import Target, check_single_line, expect_rejection, require
 
-from gyrorig_daemon.commands.halt_command import _port_and_baud
+from gyrorig_daemon.commands.halt_command import _entries
 from gyrorig_daemon.config import parse_rig
 from gyrorig_protocol.documents import dump_yaml, parse_yaml
 from gyrorig_protocol.errors import InputError, UsageError
@@ -50,7 +50,8 @@ def _with_text_keys(value: Any) -> Any:
 
 def halt_config(data: bytes) -> None:
     """Of a configuration in ruins a halt takes a usable port and rate, or none."""
-    port, baud = _port_and_baud(data, "x")
+    entries = _entries(data, "x")
+    port, baud = entries.port, entries.baud
     require(port is None or (port.isprintable() and 0 < len(port) <= 200), "no port at all")
     require(baud is None or 600 <= baud <= 2_000_000, "no rate at all")
 

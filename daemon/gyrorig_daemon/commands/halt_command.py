@@ -5,21 +5,25 @@ It does not need the other commands' imports, because it must act at once.
 
 import json
 import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import click
 
 from gyrorig_daemon.commands.terminal import CONTEXT
-from gyrorig_daemon.halt.standalone_halt import USUAL_BAUDS, halt_unit
+from gyrorig_daemon.halt.standalone_halt import USUAL_BAUDS, HaltResult, halt_unit
 from gyrorig_protocol.errors import UsageError
 
+DEFAULT_DRIVER = "directed_perception"
 EMULATED, TERMINAL = "emulated", "terminal"  # as in `config`, whose imports are not wanted here
 _LARGEST_BYTES = 4_000_000
 _BAUDS = range(600, 2_000_001)
 # For a document that is not valid YAML: the section `ptu:` and its entries.
 _SECTION = re.compile(r"^ptu[ \t]*:(.*(?:\n(?:[ \t#].*)?)*)", re.MULTILINE)
 _COMMENT = re.compile(r"(?:^|(?<=\s))#.*", re.MULTILINE)
+_DRIVER = re.compile(r"[a-z][a-z0-9_]{0,31}")
 _ENTRY = r"(?:^|[\s{,])%s[ \t]*:[ \t]*[\"']?([^\s\"',{}#]+)"
 
 
@@ -36,8 +40,17 @@ _ENTRY = r"(?:^|[\s{,])%s[ \t]*:[ \t]*[\"']?([^\s\"',{}#]+)"
     "--port",
     help=("The port of the unit, such as /dev/ttyUSB0.  [default: the port in the rig file]"),
 )
+@click.option(
+    "--driver",
+    help=(
+        "The driver of the unit.  [default: the driver in the rig file, otherwise "
+        f"{DEFAULT_DRIVER}]"
+    ),
+)
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
-def halt_command(config_path: Path | None, port: str | None, as_json: bool) -> None:
+def halt_command(
+    config_path: Path | None, port: str | None, driver: str | None, as_json: bool
+) -> None:
     r"""Halt the pan-tilt unit and confirm that it has stopped, even without the daemon.
 
     The command opens the unit's port itself, tries the configured baud rate and then the usual
@@ -48,10 +61,8 @@ def halt_command(config_path: Path | None, port: str | None, as_json: bool) -> N
     Example:
       gyrorigd halt --config config/rig-raspberrypi.yaml
     """
-    configured_port, baud = (
-        (None, None) if config_path is None else _read_port_and_baud(config_path, port is not None)
-    )
-    unit_port = port or configured_port
+    configured = _Entries() if config_path is None else _read_entries(config_path, port is not None)
+    unit_port, baud = port or configured.port, configured.baud
     if unit_port is None:
         raise UsageError(
             "the command does not know the port of the pan-tilt unit",
@@ -67,7 +78,11 @@ def halt_command(config_path: Path | None, port: str | None, as_json: bool) -> N
         )
         return
     bauds = tuple(dict.fromkeys((baud or USUAL_BAUDS[0], *USUAL_BAUDS)))
-    result = halt_unit(unit_port, bauds)
+    driver = driver or configured.driver
+    if driver == DEFAULT_DRIVER:
+        result = halt_unit(unit_port, bauds)
+    else:
+        result = _halt_with_driver(unit_port, bauds, driver, configured.commands)
     baud_note = f", not {baud}" if baud not in (None, result.baud) else ""
     _print_result(
         f"The unit on {unit_port} has stopped at pan {result.pan_steps}, tilt {result.tilt_steps} "
@@ -87,8 +102,32 @@ def _print_result(line: str, document: dict[str, Any], as_json: bool) -> None:
     click.echo(json.dumps(document) if as_json else line)
 
 
-def _read_port_and_baud(path: Path, port_is_given: bool) -> tuple[str | None, int | None]:
-    """Return the unit's port and baud rate, as far as the document contains them.
+@dataclass(frozen=True, slots=True)
+class _Entries:
+    """What the section `ptu` of a rig file contains."""
+
+    port: str | None = None
+    baud: int | None = None
+    driver: str = DEFAULT_DRIVER
+    commands: Mapping[str, str] = field(default_factory=dict)
+
+
+def _halt_with_driver(
+    port: str, bauds: Sequence[int], driver: str, commands: Mapping[str, str]
+) -> HaltResult:
+    """Halt a unit that has another driver."""
+    from gyrorig_daemon.config import PtuPort  # noqa: PLC0415 - not for the usual unit
+    from gyrorig_daemon.halt.text_unit_halt import halt_text_unit  # noqa: PLC0415
+    from gyrorig_daemon.motion import find_driver  # noqa: PLC0415
+
+    language = find_driver(driver).language
+    if language is None:
+        return halt_unit(port, bauds)
+    return halt_text_unit(port, bauds, language(PtuPort(port=port, commands=dict(commands))))
+
+
+def _read_entries(path: Path, port_is_given: bool) -> _Entries:
+    """Return the unit's entries, as far as the document contains them.
 
     Raises:
         UsageError: the document cannot be read or has no port, and no port is given.
@@ -98,14 +137,14 @@ def _read_port_and_baud(path: Path, port_is_given: bool) -> tuple[str | None, in
             text = file.read(_LARGEST_BYTES)
     except OSError as fault:
         if port_is_given:
-            return None, None
+            return _Entries()
         raise UsageError(
             f"the rig file {path}, which contains the port of the pan-tilt unit, cannot be read "
             f"({fault.strerror})",
             "give the port of the unit with --port",
         ) from fault
-    port, baud = _port_and_baud(text, path.name)
-    if port is None and not port_is_given:
+    entries = _entries(text, path.name)
+    if entries.port is None and not port_is_given:
         from gyrorig_protocol.file_kinds import describe_file_kind  # noqa: PLC0415 - for an error
 
         raise UsageError(
@@ -113,10 +152,10 @@ def _read_port_and_baud(path: Path, port_is_given: bool) -> tuple[str | None, in
             f"{describe_file_kind(text)}",
             "give the port of the unit with --port",
         )
-    return port, baud
+    return entries
 
 
-def _port_and_baud(text: bytes, name: str) -> tuple[str | None, int | None]:
+def _entries(text: bytes, name: str) -> _Entries:
     from gyrorig_protocol.documents import parse_yaml  # noqa: PLC0415 - not with --port alone
 
     try:
@@ -129,13 +168,21 @@ def _port_and_baud(text: bytes, name: str) -> tuple[str | None, int | None]:
         entries = ptu if isinstance(ptu, dict) else {}
     port, baud = entries.get("port"), entries.get("baud")
     is_valid = isinstance(port, str) and port.isprintable() and 0 < len(port) <= 200
-    return port if is_valid else None, baud if isinstance(baud, int) and baud in _BAUDS else None
+    driver, commands = entries.get("driver"), entries.get("commands")
+    return _Entries(
+        port if is_valid else None,
+        baud if isinstance(baud, int) and baud in _BAUDS else None,
+        driver if isinstance(driver, str) and _DRIVER.fullmatch(driver) else DEFAULT_DRIVER,
+        {str(k): str(v) for k, v in commands.items()} if isinstance(commands, dict) else {},
+    )
 
 
 def _scan_section(section: str) -> dict[str, Any]:
     port = re.search(_ENTRY % "port", section, re.MULTILINE)
     baud = re.search(_ENTRY % "baud", section, re.MULTILINE)
+    driver = re.search(_ENTRY % "driver", section, re.MULTILINE)
     return {
         "port": None if port is None else port[1],
+        "driver": None if driver is None else driver[1],
         "baud": int(baud[1]) if baud is not None and baud[1].isdecimal() else None,
     }

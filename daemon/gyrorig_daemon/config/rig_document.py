@@ -44,6 +44,7 @@ Baud = Literal[
     921600, 1000000, 2000000,
 ]  # fmt: skip
 PortPath = Annotated[str, msgspec.Meta(max_length=200, pattern=r"^[^\x00-\x1f\x7f]+$")]
+UnitWord = Annotated[str, msgspec.Meta(max_length=200, pattern=r"^[\x20-\x7e]*$")]
 DriverName = Annotated[str, msgspec.Meta(pattern=r"^[a-z][a-z0-9_]{0,31}$")]
 Latitude = Annotated[float, msgspec.Meta(ge=-90.0, le=90.0)]
 Heading = Annotated[float, msgspec.Meta(ge=-360.0, le=360.0)]
@@ -86,6 +87,7 @@ class PtuPort(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     baud: Baud = 9600
     dialect: Literal["auto", "d46", "e46"] = "auto"
     serial: Annotated[str, msgspec.Meta(min_length=1, max_length=64)] | None = None  # no other
+    commands: dict[UnitWord, UnitWord] = {}  # of a driver of text lines, instead of its own
     pan_sign: Sign = 1
     tilt_sign: Sign = 1
     limits: CommandLimits = CommandLimits()
@@ -149,7 +151,7 @@ class Emulator(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """The emulated rig, for ports with the value `emulated`."""
 
     seed: Annotated[int, msgspec.Meta(ge=0)] = 1
-    dialect: Literal["d46", "e46"] = "e46"
+    dialect: Literal["d46", "e46", "d48e"] = "e46"
     command_time_ms: Annotated[float, msgspec.Meta(ge=0.0, le=1000.0)] = 10.0
     homed: bool = True
     odr_hz: Literal[100, 200, 400, 800] = 100

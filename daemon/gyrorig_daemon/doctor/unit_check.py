@@ -10,9 +10,11 @@ from collections.abc import Sequence
 from gyrorig_daemon.config import PtuPort
 from gyrorig_daemon.doctor.finding import Finding, fault, from_error, note, ok, warning
 from gyrorig_daemon.doctor.port_session import open_for_check
+from gyrorig_daemon.doctor.text_unit_check import check_text_unit
 from gyrorig_daemon.halt.direct_ptu_line import DirectPtuLine
 from gyrorig_daemon.halt.standalone_halt import FIRST_ANSWER_S, OTHER_BAUD_ANSWER_S, USUAL_BAUDS
 from gyrorig_daemon.links.ports.serial_port import PortRefusedError, configure_raw
+from gyrorig_daemon.motion import find_driver
 from gyrorig_protocol.errors import DeviceError
 from gyrorig_protocol.ptu import (
     PROBE,
@@ -40,7 +42,12 @@ _BOUNDS = (Quantity.MINIMUM, Quantity.MAXIMUM)
 
 
 def check_unit(config: PtuPort) -> list[Finding]:
-    """Return the findings about the unit on `config.port`."""
+    """Return the findings about the unit on `config.port`; its driver decides what is asked."""
+    if config.is_person:
+        return []  # there is no device to ask
+    language = find_driver(config.driver).language
+    if language is not None:
+        return check_text_unit(config, language(config))
     bauds = tuple(dict.fromkeys((config.baud, *USUAL_BAUDS)))
     try:
         with open_for_check(config.port, config.baud) as fd:

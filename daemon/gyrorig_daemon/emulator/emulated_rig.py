@@ -23,8 +23,9 @@ from gyrorig_daemon.emulator.physics.host_latency import HostLatency
 from gyrorig_daemon.emulator.physics.motion_law import MotionLaw
 from gyrorig_daemon.emulator.physics.stage_motion import Stage
 from gyrorig_daemon.emulator.physics.stepper_axis import ARCSEC_RAD, AxisTruth, StepperAxis
-from gyrorig_daemon.emulator.ptu import EmulatedPtu
 from gyrorig_daemon.emulator.rig_truth import BoardTruth, RigTruth, sample_rig_truth
+from gyrorig_daemon.emulator.units import find_front_end
+from gyrorig_daemon.emulator.units.front_end import EmulatedUnit
 
 PTU_PORT = "ptu"
 
@@ -116,10 +117,11 @@ class EmulatedRig:
         self.person: EmulatedPerson | None = None
         if settings.hand is not None and isinstance(self.stage, HandStage):
             self.person = EmulatedPerson(settings.hand, self.stage, origin_ns, ptu_rng)
-        self.ptu: EmulatedPtu | None = None
+        self.ptu: EmulatedUnit | None = None
         if settings.ptu is not None:
             counter = DeviceClock(self.truth.controller_clock, origin_ns, counter_rng)
-            self.ptu = EmulatedPtu(unit_settings, self.stage, counter, origin_ns, ptu_rng)
+            make = find_front_end(unit_settings.driver).make
+            self.ptu = make(unit_settings, self.stage, counter, origin_ns, ptu_rng)
         self.boards = {
             board.name: (find_emulated_can_board(board.format) if board.bus else EmulatedBoard)(
                 board,

@@ -11,7 +11,7 @@ from typing import Literal
 from gyrorig_protocol.board import ColumnMap
 from gyrorig_protocol.can import SignalMap
 
-Dialect = Literal["d46", "e46"]
+Dialect = Literal["d46", "e46", "d48e"]  # d48e: a D48E, which has the dialect e46
 
 StepMode = Literal["F", "H", "Q", "E", "A"]  # full, half, quarter, eighth, auto
 
@@ -43,8 +43,9 @@ class PtuFaults:
 
 @dataclass(frozen=True, slots=True)
 class PtuSettings:
-    """A PTU-E46 or D46, and its state when the port is opened."""
+    """A motion unit, by default a PTU-E46 or D46, and its state when the port is opened."""
 
+    driver: str = "directed_perception"  # whose unit it is
     dialect: Dialect = "e46"
     baud: int = 9600
     command_time_ms: float = 1.0  # 1, 10 or 20 (E-series), 100 (D-series by the vendor)
@@ -79,6 +80,8 @@ class PtuSettings:
     power_up_tilt_steps: int = 0
     hard_stop_margin_steps: int = 8  # from the factory limit to the end of travel
     serial: str = "E46-0001"
+    model: str = "PTU-E46-17.5"
+    version: str = ""  # reply to V, "" for that of the dialect
     faults: PtuFaults = PtuFaults()
 
     @property

@@ -64,7 +64,7 @@ def halt_unit(port: str, bauds: Sequence[int], timeout_s: float = TIMEOUT_S) -> 
             or it still moves. If the port could be opened, the command was sent.
     """
     end_s = time.monotonic() + timeout_s
-    fd = _open(port, bauds[0], end_s)
+    fd = open_unit_port(port, bauds[0], end_s)
     try:
         line = DirectPtuLine(fd, port, end_s)
         baud = _find_unit(line, bauds)
@@ -77,8 +77,12 @@ def halt_unit(port: str, bauds: Sequence[int], timeout_s: float = TIMEOUT_S) -> 
         os.close(fd)
 
 
-def _open(port: str, baud: int, end_s: float) -> int:
-    """Open the port; wait a moment for a program that is about to release it."""
+def open_unit_port(port: str, baud: int, end_s: float) -> int:
+    """Open the port; wait a moment for a program that is about to release it.
+
+    Raises:
+        GyrorigError: it cannot be opened; the class says who must act.
+    """
     busy_end_s = min(time.monotonic() + BUSY_TIMEOUT_S, end_s)
     while True:
         try:

@@ -1,6 +1,7 @@
 """The interface between the daemon and a motion unit of any maker.
 
 What to use when: implement `PanTiltDriver` in a module of `drivers`, and name it there in `DRIVER`.
+A unit that answers each line of text with one line needs only a `TextLanguage`, see `text_unit`.
 `drivers.find_driver` finds a driver by the name in the rig file.
 
 The daemon counts each axis in steps. A driver chooses the size of a step, states it in `UnitFacts`
@@ -14,6 +15,7 @@ from typing import Protocol
 from gyrorig_daemon.config import PTU_PORT, PtuPort
 from gyrorig_daemon.links.pump import Pump
 from gyrorig_daemon.motion.ptu_exchange import Exchange, PtuLineCounts
+from gyrorig_daemon.motion.text_language import TextLanguage
 from gyrorig_daemon.motion.unit_facts import Homing, UnitFacts
 from gyrorig_protocol.errors import DeviceError
 from gyrorig_protocol.program import PtuSettings
@@ -162,10 +164,13 @@ class DriverEntry:
     Attributes:
         title: the units that it drives, for people.
         make: makes the driver; it sends nothing.
+        language: the words of a unit of text lines; with them `gyrorigd halt` and `gyrorigd doctor`
+            talk to the unit without the daemon. None: the Directed Perception commands.
     """
 
     title: str
     make: Callable[[DriverPort], PanTiltDriver]
+    language: Callable[[PtuPort], TextLanguage] | None = None
 
 
 def unidentified_error(location: str) -> DeviceError:

@@ -24,6 +24,7 @@ from gyrorig_daemon.emulator.emulator_settings import (
 )
 from gyrorig_daemon.emulator.injection import RANDOM, parse_injection, sample_injected_causes
 from gyrorig_daemon.emulator.truth_commitment import TruthCommitment
+from gyrorig_daemon.emulator.units import find_front_end
 from gyrorig_daemon.session.emulation_options import EmulationOptions
 from gyrorig_protocol.atomic_files import write_atomically
 from gyrorig_protocol.documents import dump_yaml
@@ -54,6 +55,7 @@ def emulated_rig_settings(
     emulator_config, emulation = config.emulator, emulation or EmulationOptions()
     seed = emulation.seed if seed is None else seed
     ptu = PtuSettings(
+        driver=config.ptu.driver,
         dialect=emulator_config.dialect,
         baud=config.ptu.baud,
         command_time_ms=emulator_config.command_time_ms,
@@ -61,6 +63,8 @@ def emulated_rig_settings(
         pan_sign=config.ptu.pan_sign,
         tilt_sign=config.ptu.tilt_sign,
     )
+    if config.ptu.port == EMULATED and not config.ptu.is_person:
+        ptu = find_front_end(config.ptu.driver).adjust(ptu)
     boards = tuple(
         BoardSettings(
             name=board.id,

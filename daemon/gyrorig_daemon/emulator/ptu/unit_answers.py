@@ -15,7 +15,6 @@ VERSIONS = {
     "All Rights Reserved",
 }
 SHORT_VERSION = "v3.4.2r0"
-MODEL = "PTU-E46-17.5"
 _MOTOR_WARM_UP_S = 600.0
 
 
@@ -92,7 +91,7 @@ def power_up_query(unit: UnitController, _time_s: float) -> Reply:
 
 def version(unit: UnitController, _time_s: float) -> Reply:
     """V: the full version text."""
-    return fixed_reply(VERSIONS[unit.settings.dialect])
+    return fixed_reply(unit.settings.version or VERSIONS[unit.settings.dialect])
 
 
 def short_version(_unit: UnitController, _time_s: float) -> Reply:
@@ -100,9 +99,9 @@ def short_version(_unit: UnitController, _time_s: float) -> Reply:
     return fixed_reply(SHORT_VERSION)
 
 
-def model(_unit: UnitController, _time_s: float) -> Reply:
+def model(unit: UnitController, _time_s: float) -> Reply:
     """VM: the model."""
-    return fixed_reply(MODEL)
+    return fixed_reply(unit.settings.model)
 
 
 def serial(unit: UnitController, _time_s: float) -> Reply:

@@ -26,9 +26,10 @@ from gyrorig_solver.reference.unit.unit_moves import AXES, MotionReader, UnitMot
 UNUSABLE_STATUS = (
     PtuStatus.SYNCHRONY_LOST | PtuStatus.HOMING
 )  # with these bits the position is not an angle
+FIXED_AXIS_RAD = 1e-7  # step of an axis that the unit does not have: it stays at 0 exactly
 FACTORY_BAUD = 9600.0
 BITS_PER_BYTE = 10  # 8N1
-QUERY_BYTES = 3  # `BT ` or `PP `
+QUERY_BYTES = 3  # `BT ` or `PP `, unless the recording states another number
 MAX_UNEXPLAINED_SHARE = 0.5  # of the counts in motion; above it the counts alone are used
 MAX_COUNT_ERROR_STEPS = 4.0  # the quantum of the count, its lag, and some start error
 MAX_START_ERROR_S = 0.005  # of a start that was not polled
@@ -184,13 +185,17 @@ def _read_polls(
         for name in ("request_time", "first_byte_time")
     )
     # The unit samples after it has received the query and before its reply begins.
-    earliest: FloatArray = np.asarray(request + QUERY_BYTES * byte_s, dtype=np.float64)
+    query_bytes = _finite_number(metadata, "poll_bytes") or QUERY_BYTES
+    earliest: FloatArray = np.asarray(request + query_bytes * byte_s, dtype=np.float64)
     latest: FloatArray = np.asarray(np.maximum(first - byte_s, earliest), dtype=np.float64)
     status = raw["status"][usable]
     bits = (PtuStatus.PAN_ANSWERED, PtuStatus.TILT_ANSWERED)
     valid = np.column_stack([status & bit != 0 for bit in bits])
     steps = np.empty((usable.size, 2))
     steps[:, 0], steps[:, 1] = raw["pan_steps"][usable], raw["tilt_steps"][usable]
+    for axis, name in enumerate(AXES):
+        if not _has_axis(metadata, name):  # it stays at 0
+            valid[:, axis], steps[:, axis] = True, 0.0
     polls = UnitPolls(earliest, latest, steps, valid)
     polls = _use_controller_counter(
         polls, raw["controller_time"][usable].astype(np.int64), metadata
@@ -229,6 +234,11 @@ def _finite_number(metadata: Mapping[str, str], key: str) -> float | None:
     return value
 
 
+def _has_axis(metadata: Mapping[str, str], name: str) -> bool:
+    """Return whether the unit has an axis; an old recording does not state its axes."""
+    return name in metadata.get("axes", " ".join(AXES)).split()
+
+
 def _byte_s(metadata: Mapping[str, str]) -> float:
     """Return the transmission time of a byte on the serial line of the unit."""
     baud = _finite_number(metadata, "baud") or FACTORY_BAUD
@@ -263,6 +273,8 @@ def _rad_per_step(recording: Recording, metadata: Mapping[str, str], axis: str) 
     steps, angle = int(raw[f"{axis}_steps"][farthest]), float(raw[axis][farthest])
     if steps != 0 and np.isfinite(angle) and angle != 0.0:
         return angle / steps
+    if not _has_axis(metadata, axis):
+        return FIXED_AXIS_RAD
     arcsec = _finite_number(metadata, f"{axis}_resolution_arcsec")
     if not arcsec:
         raise InputError(

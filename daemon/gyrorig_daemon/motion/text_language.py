@@ -1,0 +1,146 @@
+"""The words of a unit that answers each line of text with one line of text.
+
+What to use when: `TextLanguage` in the module of a driver; `text_unit.TextUnit` drives the unit
+with it, and `gyrorigd halt` and `gyrorigd doctor` use the same words. `with_commands` replaces
+words by those of the rig file.
+
+In a command, `{axis}` is the name of the axis and `{value}` a number in deg, deg/s or deg/s^2. A
+pattern is a regular expression for a whole reply. A value can be a number instead of a query.
+"""
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, fields, replace
+
+from gyrorig_protocol.errors import UsageError
+from gyrorig_protocol.ptu import Axis
+from gyrorig_protocol.suggestions import did_you_mean
+
+NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
+_FIRST_NUMBER = re.compile(NUMBER)
+
+
+@dataclass(frozen=True, slots=True)
+class TextLanguage:
+    """The commands and replies of a unit; see the module.
+
+    Attributes:
+        axes: the name of each axis of the unit in its commands.
+        resolution_deg: size of a step of the driver; a unit should report finer positions.
+        line_end: end of every line.
+        min_interval_s: shortest time between two requests.
+        identify: asks for the identity.
+        identity: pattern of the identity, with the groups `model`, `serial` and `firmware`.
+        ready: commands that prepare the unit, separated by `|`.
+        home: searches the zero; "" if the unit needs none.
+        target: starts a move to an angle.
+        speed: sets the speed of moves.
+        acceleration: sets the acceleration of moves.
+        halt: stops all axes.
+        accepted: pattern of the reply to a command that was accepted.
+        position: asks for the position; with `{axis}` the axes are asked in turn.
+        positions: pattern with the groups `pan` and `tilt`, or `value` with `{axis}` in `position`;
+            an optional group `moving` is 0 at rest.
+        lowest, highest: the ends of travel, a query or a number in deg.
+        slowest, fastest: the speeds of moves, a query or a number in deg/s.
+        rate_change: the acceleration in force, a query or a number in deg/s^2.
+    """
+
+    name: str
+    axes: Mapping[Axis, str]
+    identity: str
+    target: str
+    speed: str
+    halt: str
+    position: str
+    positions: str
+    accepted: str
+    identify: str = "*IDN?"
+    acceleration: str = ""
+    ready: str = ""
+    home: str = ""
+    lowest: str = "-180"
+    highest: str = "180"
+    slowest: str = "0.001"
+    fastest: str = "100"
+    rate_change: str = "100"
+    line_end: str = "\n"
+    resolution_deg: float = 1e-4
+    min_interval_s: float = 0.02
+
+    @property
+    def halt_bytes(self) -> bytes:
+        """Bytes that stop the unit; the first line end ends a truncated command."""
+        return f"{self.line_end}{self.halt}{self.line_end}".encode("ascii")
+
+    def with_commands(self, commands: Mapping[str, str]) -> "TextLanguage":
+        """Return the language with other words.
+
+        Raises:
+            UsageError: a name is not a word of the language, or a pattern is invalid.
+        """
+        names = [field.name for field in fields(self) if field.type is str]
+        names.remove("name")
+        for name, text in commands.items():
+            if name not in names:
+                raise UsageError(
+                    f"{name!r} under ptu.commands in the rig file is not a command of the driver "
+                    f"{self.name}",
+                    did_you_mean(name, names) or f"use one of {', '.join(names)}",
+                )
+            if name in ("identity", "positions", "accepted"):
+                _check_pattern(name, text)
+        return replace(self, **dict(commands))  # type: ignore[arg-type]
+
+    def format(self, command: str, axis: Axis, value_deg: float = 0.0) -> str:
+        """Return a command for an axis with a value in deg, deg/s or deg/s^2."""
+        value = f"{value_deg:.6f}".rstrip("0").rstrip(".")
+        return command.replace("{axis}", self.axes[axis]).replace("{value}", value)
+
+    def is_accepted(self, reply: str) -> bool:
+        """Return whether a reply says that a command was accepted."""
+        return re.fullmatch(self.accepted, reply) is not None
+
+    def read_identity(self, reply: str) -> dict[str, str] | None:
+        """Return model, serial and firmware; None if another device has replied."""
+        match = re.fullmatch(self.identity, reply)
+        return None if match is None else {k: v or "" for k, v in match.groupdict().items()}
+
+    def read_positions(self, reply: str, asked: Axis) -> tuple[dict[Axis, int], bool | None]:
+        """Return positions in steps, and whether the unit is at rest as far as it says so.
+
+        Args:
+            reply: the reply to `position`.
+            asked: the axis in the request.
+        """
+        match = re.fullmatch(self.positions, reply)
+        if match is None:
+            return {}, None
+        groups = match.groupdict()
+        texts = {axis: groups.get(axis.label) for axis in self.axes}
+        if groups.get("value") is not None:
+            texts = {asked: groups["value"]}
+        steps = {}
+        for axis, text in texts.items():
+            value_deg = None if text is None else read_number(text)
+            if value_deg is not None and abs(value_deg) < self.resolution_deg * 2**31:
+                steps[axis] = round(value_deg / self.resolution_deg)
+        moving = groups.get("moving")
+        return steps, None if moving is None else moving == "0"
+
+
+def read_number(text: str) -> float | None:
+    """Return the first number in a text, None without one."""
+    match = _FIRST_NUMBER.search(text)
+    return None if match is None else float(match[0])
+
+
+def _check_pattern(name: str, text: str) -> None:
+    try:
+        re.compile(text)
+    except re.error as error:
+        raise UsageError(
+            f"the pattern {name!r} under ptu.commands in the rig file is not a regular expression "
+            f"({error})",
+            "correct the pattern",
+        ) from error
