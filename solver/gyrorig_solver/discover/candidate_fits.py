@@ -8,6 +8,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from gyrorig_solver.discover.exact_fit import FittedCandidate, fit_candidate
+from gyrorig_solver.discover.lag_series import LagSeries
 from gyrorig_solver.discover.score_tests import CandidateScore, scan_catalogue, testable_places
 from gyrorig_solver.discover.template_choice import all_templates
 from gyrorig_solver.discover.testable_terms import FALSE_ALARM_RATE, testable_instances
@@ -19,6 +20,7 @@ from gyrorig_solver.numerics import chi2_upper_tail
 MAX_CANDIDATES = 4  # fitted exactly at a time
 MIN_STATISTIC_SHARE = 0.2  # of the leading statistic: a cause that sees less is not fitted
 PLACE_MARGIN = 25.0  # a place alone this much below all places together is not fitted alone,
+MAX_RESIDUAL_VALUES = 500_000  # for the lag by time, whose windows need memory
 JOINT_MARGIN = 3.0  # and all together not where they see no more than this beyond the best one
 
 
@@ -72,7 +74,11 @@ def fit_leading(
         if term.cause == equivalent.first_order_equivalent
         for instance in testable_instances(equivalent, projection)
         if recording_index_of(instance) == recording_index_of(term) and instance not in terms
+        if equivalent.template_search != "lag_series"
     ]
+    # The error of a clock that no single step resembles shows in the lag by time.
+    if is_lag_significant(projection, tests):
+        terms += lag_series_terms(projection)
     candidates: list[tuple[FittedCandidate, float]] = []
     for term in terms:
         if term_label(term) in fitted_labels:
@@ -98,6 +104,23 @@ def fit_leading(
             candidates.append((law, 1.0))
             needed_nats = max(needed_nats, law.log_evidence)
     return candidates
+
+
+def is_lag_significant(projection: NuisanceProjector, tests: int) -> bool:
+    """Return whether the lag changes with time, and the recording is short enough to say so."""
+    if projection.residual.size > MAX_RESIDUAL_VALUES:
+        return False
+    return LagSeries.at(projection).p_value * tests < FALSE_ALARM_RATE
+
+
+def lag_series_terms(projection: NuisanceProjector) -> list[Term]:
+    """Return the causes whose templates are compared with the lag by time."""
+    return [
+        instance
+        for term in catalogue().values()
+        if term.template_search == "lag_series"
+        for instance in testable_instances(term, projection)
+    ]
 
 
 def fit_best_place(

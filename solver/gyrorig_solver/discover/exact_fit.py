@@ -28,6 +28,8 @@ from gyrorig_solver.model import Term, value_indices
 WHOLE_COUNT_SIGMA = 4.0  # deviations
 MAX_OUTSIDE_GAIN_NATS = 2.0  # won by leaving what is possible, two deviations: it is something else
 REFINEMENTS, STEPS_PER_SIDE = 4, 4  # an event is looked for so often, each time so much finer
+ROUNDS_OF_SHAPES = 2  # shapes, then the event
+SHAPE_SHARE = 0.04  # of a shape, to either side
 SMOOTH_STD_S = 2e-3  # an event known better than this lies on one smooth hill of the likelihood
 SHIFTS_S = (0.02, 0.07, 0.25)  # an edge of a move, its ramp, a rest
 MIN_STD_S = 1e-6  # that an event is known to
@@ -38,7 +40,7 @@ GRID_PER_SIDE = 20  # times to either side of one that is known worse
 class FittedCandidate:
     """A cause at its maximum-likelihood values, the base model eliminated."""
 
-    extension: FittedTerm  # its sizes and shapes free, its event as found
+    extension: FittedTerm  # its sizes free, its shapes too unless held, its event as found
     place: str | None
     delta_log_likelihood: float  # nats
     log_evidence: float  # nats, Occam's factor counted
@@ -82,7 +84,9 @@ def _fit_from(
 ) -> tuple[LocalExpansion, LocalExpansion]:
     """Return the optimum from one template, and the same with the event free."""
     values = objective.restrict_sizes(start)
-    if objective.events:
+    if objective.term.holds_shapes:
+        values = locate_shapes(objective, values)
+    elif objective.events:
         values = locate_event(objective, values)
     elif not values[objective.sizes].any():
         values = objective.with_one_step_sizes(values, objective.score_test(values))
@@ -114,12 +118,13 @@ def _summarize(objective: CandidateObjective, state: LocalExpansion) -> FittedCa
     covariance = np.asarray(np.linalg.pinv(posterior_information, hermitian=True), np.float64)
     evidence += 0.5 * float(np.linalg.slogdet(2.0 * np.pi * covariance)[1])
     std = np.sqrt(np.clip(np.diag(covariance), 0.0, None))
+    fitted = objective.sizes if objective.term.holds_shapes else free
     return FittedCandidate(
-        extension=FittedTerm(objective.term, state.values, free),
+        extension=FittedTerm(objective.term, state.values, fitted),
         place=objective.place,
         delta_log_likelihood=-state.cost,
         log_evidence=evidence,
-        std=std,
+        std=std[: fitted.size],
         absorbed=state.absorbed,
         infeasible=_is_outside(objective, state, covariance)
         or is_event_at_boundary(objective, state.values)
@@ -163,19 +168,36 @@ def _is_not_whole_count(objective: CandidateObjective, value: FloatArray, std: F
 
 def locate_event(objective: CandidateObjective, values: FloatArray) -> FloatArray:
     """Return values at the best event time near the given one, with one-step sizes."""
-    event = objective.events[0]
     step_s = (objective.context.end_s - objective.context.begin_s) / 60.0
+    return _locate(objective, values, objective.events[0], step_s)
+
+
+def locate_shapes(objective: CandidateObjective, values: FloatArray) -> FloatArray:
+    """Return values at the best shapes and event time near the given ones, with one-step sizes."""
+    best = values
+    for _ in range(ROUNDS_OF_SHAPES):
+        for shape in objective.shapes:
+            best = _locate(objective, best, int(shape), SHAPE_SHARE * float(best[shape]))
+            step_s = SHAPE_SHARE * float(best[shape])
+        best = _locate(objective, best, objective.events[0], step_s)
+    return best
+
+
+def _locate(
+    objective: CandidateObjective, values: FloatArray, index: int, step: float
+) -> FloatArray:
+    """Return values with the best value of one parameter near the given one."""
     best, statistic = values, -1.0
     for _ in range(REFINEMENTS):
-        middle = float(best[event])
+        middle = float(best[index])
         for shift in np.arange(-STEPS_PER_SIDE, STEPS_PER_SIDE + 1) / STEPS_PER_SIDE:
             trial = values.copy()
-            trial[event] = middle + shift * step_s
+            trial[index] = middle + shift * step
             test = objective.score_test(trial)
             if test.statistic > statistic:
                 statistic = test.statistic
                 best = objective.with_one_step_sizes(trial, test)
-        step_s /= STEPS_PER_SIDE
+        step /= STEPS_PER_SIDE
     return best
 
 

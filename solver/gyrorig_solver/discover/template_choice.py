@@ -7,6 +7,7 @@ Lost steps are short and spectral lines narrow: their templates are taken at pea
 import numpy as np
 
 from gyrorig_solver.data import FloatArray
+from gyrorig_solver.discover.lag_series import lag_templates
 from gyrorig_solver.estimate import NuisanceProjector
 from gyrorig_solver.model import Term, is_active_in, start_values, value_indices
 
@@ -36,6 +37,9 @@ def quick_templates(projection: NuisanceProjector, term: Term) -> tuple[FloatArr
         return _lost_step_templates(projection, term)
     if term.template_search == "spectral_lines":
         return _line_templates(projection, term)
+    if term.template_search == "lag_series":
+        templates = lag_templates(projection, term)
+        return templates, len(templates)
     templates = all_templates(projection, term)
     if (
         term.template_search == "full_grid"
@@ -56,6 +60,8 @@ def all_templates(projection: NuisanceProjector, term: Term) -> FloatArray:
         return _lost_step_templates(projection, term)[0]
     if term.template_search == "spectral_lines":
         return _line_templates(projection, term)[0]
+    if term.template_search == "lag_series":
+        return lag_templates(projection, term)
     return np.unique(
         np.concatenate([term.template_bank(scene) for scene in projection.states]), axis=0
     )

@@ -62,8 +62,8 @@ RATE_COVARIATES = ("own_rate", "speed")
 
 Quantity = Literal["mean", "gain", "lag"]
 # grid: some rows of the template bank first. full_grid: all rows. pulses, spectral_lines: rows
-# at the strongest pulses or lines of the residual.
-TemplateSearch = Literal["grid", "full_grid", "pulses", "spectral_lines"]
+# at the strongest pulses or lines of the residual. lag_series: rows that fit the lag by time.
+TemplateSearch = Literal["grid", "full_grid", "pulses", "spectral_lines", "lag_series"]
 NO_ANGLES = (
     "the reference does not give the pose of the board at each moment; use a reference that does"
 )
@@ -176,6 +176,7 @@ class Term(ABC):
     derivative_step: float = DERIVATIVE_STEP  # larger where the effect changes in steps
     # Special cases of the search.
     template_search: TemplateSearch = "grid"
+    holds_shapes: bool = False  # a fit is rough in the shapes: they are found like an event
     equivalent_causes: tuple[str, ...] = ()  # the same function on one of its axes
     first_order_equivalent: str = ""  # the cause that replaces it in the first scan
     confounded_with_gain: bool = False  # the gain absorbs it, so its size can stay unobservable
@@ -238,6 +239,10 @@ class Term(ABC):
     def pulse_templates(self, state: SignalState) -> PulseTemplates:
         """Return the signal of every time, for the template search `pulses`."""
         raise NotImplementedError(f"{self.cause} has no pulses")
+
+    def lag_shape(self, time_s: FloatArray, values: FloatArray) -> FloatArray:
+        """Return the delay per unit of size at some times (n,), for the search `lag_series`."""
+        raise NotImplementedError(f"{self.cause} has no lag by time")
 
     def data_sheet_limit(self, parameter: str, profile: SensorProfile) -> float | None:
         """Return the data sheet's limit of a parameter's size, in the unit that people read.

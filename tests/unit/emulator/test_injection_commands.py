@@ -190,7 +190,7 @@ def test_the_emulator_alone_keeps_its_seal_closed_while_it_runs(tmp_path: Path) 
 def test_the_causes_can_be_listed(capsys: pytest.CaptureFixture[str]) -> None:
     assert run(["causes"]) == 0
     lines = capsys.readouterr().out.splitlines()
-    assert len(lines) == 41
+    assert len(lines) == 42
     line = "backlash@pan,tilt: gap between motor and gear; random size: 0.0002 to 0.0025 rad"
     assert line in lines
     assert run(["causes", "--json"]) == 0

@@ -36,6 +36,7 @@ STRONG = {
     "scale_asymmetry": [0.004, 0.002, -0.003],
     "low_pass_lag": [-0.4],
     "saturation": [0.8],
+    "clock_sawtooth": [1e-3, 8.0, 14.2],
     "clock_step": [0.02, 14.2],
 }
 

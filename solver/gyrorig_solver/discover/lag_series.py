@@ -1,0 +1,122 @@
+"""The lag of the samples behind the reference, by time: estimates in windows of some seconds.
+
+In each window, the lag changes the samples by the time derivative of the rate. The score and the
+information of all windows, with the nuisance parameters eliminated, are a nonparametric estimate of
+the lag by time. The shape of a clock's error is compared with it at little cost, so that many
+periods and phases can be tried.
+
+What to use when: `LagSeries.at` for the estimate; `lag_templates` for the templates of a cause that
+fit it best; `lag_family` for the test whether the lag changes.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
+from itertools import pairwise
+from typing import Self
+
+import numpy as np
+
+from gyrorig_solver.data import FloatArray
+from gyrorig_solver.discover.checks.smooth_alternatives import BasisFamily
+from gyrorig_solver.estimate import NuisanceProjector, ScoreStatistics
+from gyrorig_solver.model import SignalState, Term, zero_signals
+from gyrorig_solver.numerics import chi2_upper_tail
+
+WINDOW_S = 2.0
+MAX_WINDOWS = 60
+POINTS_PER_WINDOW = 5  # over which a shape is averaged
+WINDOWS_PER_BATCH = 20  # that are whitened together
+NEGLIGIBLE_INFORMATION = 1e-6  # of the largest energy: such a lag is a parameter of the fit
+MAX_TEMPLATES = 2  # that are tried exactly
+MIN_DISTANCE = 0.02  # in the share of the statistic that two templates do not have in common
+LAG_FAMILY = "lag_time"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LagSeries:
+    """The lag in each of m windows, to first order."""
+
+    edges_s: FloatArray  # (m + 1,)
+    statistics: ScoreStatistics  # of the lag in each window
+
+    @classmethod
+    def at(cls, projection: NuisanceProjector) -> Self:
+        """Return the series of a residual; `projection`: the nuisance projector at the fit."""
+        edges_s = window_edges_s(projection.states)
+        return cls(edges_s, lag_family(projection.states).statistics(projection))
+
+    @property
+    def p_value(self) -> float:
+        """The probability of such a lag by chance, where it does not change."""
+        values, vectors = np.linalg.eigh(self.statistics.information)
+        keep = values > NEGLIGIBLE_INFORMATION * max(float(self.statistics.energy.max()), 1e-300)
+        score = vectors[:, keep].T @ self.statistics.score
+        statistic = float(np.sum(score**2 / values[keep]))
+        return chi2_upper_tail(statistic, int(keep.sum())) if keep.any() else 1.0
+
+    def score_shapes(self, shapes_s: FloatArray) -> FloatArray:
+        """Return the score statistic (b,) of each of some lags in the windows, (b, m)."""
+        information = np.einsum("bm,bm->b", shapes_s @ self.statistics.information, shapes_s)
+        energy = shapes_s**2 @ self.statistics.energy
+        is_seen = information > NEGLIGIBLE_INFORMATION * energy
+        score = shapes_s @ self.statistics.score
+        return np.where(is_seen, score**2 / np.where(is_seen, information, 1.0), 0.0)
+
+
+def window_edges_s(states: Sequence[SignalState]) -> FloatArray:
+    """Return the edges of the windows of a recording, (m + 1,)."""
+    begin_s = min(state.context.begin_s for state in states)
+    end_s = max(state.context.end_s for state in states)
+    count = int(np.clip((end_s - begin_s) / WINDOW_S, 1, MAX_WINDOWS))
+    return np.linspace(begin_s, end_s, count + 1)
+
+
+def lag_family(states: Sequence[SignalState]) -> BasisFamily:
+    """Return the family of lags that are constant in windows of some seconds."""
+    edges_s = window_edges_s(states)
+    count = edges_s.size - 1
+    batches = tuple(
+        partial(_window_signals, edges_s[first : first + WINDOWS_PER_BATCH + 1])
+        for first in range(0, count, WINDOWS_PER_BATCH)
+    )
+    return BasisFamily(LAG_FAMILY, "on the time (the lag changes)", batches, np.ones(count))
+
+
+def lag_templates(projection: NuisanceProjector, term: Term) -> FloatArray:
+    """Return the templates of a cause that fit the lag by time best, (b, k)."""
+    series = LagSeries.at(projection)
+    middle_s = 0.5 * (series.edges_s[:-1] + series.edges_s[1:])
+    bank = np.unique(np.concatenate([term.template_bank(s) for s in projection.states]), axis=0)
+    # A correction inside a window: the mean over the window counts.
+    width_s = series.edges_s[1] - series.edges_s[0]
+    shares = (np.arange(POINTS_PER_WINDOW) + 0.5) / POINTS_PER_WINDOW - 0.5
+    fine_s = (middle_s[:, None] + shares * width_s).ravel()
+    shapes = np.array(
+        [term.lag_shape(fine_s, row).reshape(-1, POINTS_PER_WINDOW).mean(axis=1) for row in bank]
+    )
+    statistics = series.score_shapes(shapes)
+    chosen: list[int] = []
+    for k in np.argsort(-statistics).tolist():
+        if all(_difference(series, shapes[k], shapes[j]) > MIN_DISTANCE for j in chosen):
+            chosen.append(k)
+        if len(chosen) == MAX_TEMPLATES:
+            break
+    return np.asarray(bank[chosen], dtype=np.float64)
+
+
+def _difference(series: LagSeries, first: FloatArray, second: FloatArray) -> float:
+    """Return the share of the energy that two shapes do not have in common."""
+    information = series.statistics.information
+    both = float(first @ information @ second)
+    energies = float(first @ information @ first) * float(second @ information @ second)
+    return 1.0 - both**2 / energies if energies > 0.0 else 1.0
+
+
+def _window_signals(edges_s: FloatArray, scene: SignalState) -> FloatArray:
+    """Return the effect of a lag of 1 s in each window, (m, blocks, 3)."""
+    signals = zero_signals(edges_s.size - 1, scene.interval_count)
+    bounds = np.searchsorted(scene.time_s, edges_s)
+    for k, (first, last) in enumerate(pairwise(bounds)):
+        signals[k, first:last] = scene.filtered_slope_rad_s2[first:last]
+    return scene.sample_output(signals)
