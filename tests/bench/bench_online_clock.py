@@ -19,6 +19,7 @@ from gyrorig_daemon.clocks.capture_clock import CaptureClock, HostClocks
 from gyrorig_daemon.config import RigConfig, parse_rig
 from gyrorig_daemon.emulator.emulated_rig import EmulatedRig
 from gyrorig_daemon.emulator.physics.device_clock import DeviceClock
+from gyrorig_daemon.emulator.ptu import EmulatedPtu
 from gyrorig_daemon.emulator.virtual_hub import VirtualHub
 from gyrorig_daemon.session.emulator_process import emulated_rig_settings
 from gyrorig_daemon.session.session import record_session
@@ -112,7 +113,7 @@ def main() -> None:
                 errors_by_device["board"].append(
                     errors(path, rig, imu_raw_topic(BoardId("B")), board)
                 )
-                if rig.ptu is not None:
+                if isinstance(rig.ptu, EmulatedPtu):
                     unit = rig.ptu.unit.clock
                     errors_by_device["unit"].append(errors(path, rig, PTU_POSITION_TOPIC, unit))
         for name, seeds in errors_by_device.items():
