@@ -7,7 +7,7 @@ a protocol or a kind of reference can be added without a change to the installed
 import importlib
 import importlib.util
 import pkgutil
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from types import ModuleType
 
 EXTENSIONS = "gyrorig_extensions"
@@ -21,8 +21,38 @@ def registered_modules(package: ModuleType, name: str) -> Iterator[ModuleType]:
         name: of the folder with its extensions.
     """
     yield from _modules_in(package)
-    if importlib.util.find_spec(EXTENSIONS) and importlib.util.find_spec(f"{EXTENSIONS}.{name}"):
+    if _exists(EXTENSIONS) and _exists(f"{EXTENSIONS}.{name}"):
         yield from _modules_in(importlib.import_module(f"{EXTENSIONS}.{name}"))
+
+
+def module_names(paths: Sequence[str]) -> list[str]:
+    """Return the names of the modules in a package's folders, in alphabetical order."""
+    return sorted(module.name for module in pkgutil.iter_modules(paths))
+
+
+def find_module(package: str, paths: Sequence[str], extensions: str, name: str) -> str | None:
+    """Return the full name of one alternative without importing it, None if it does not exist.
+
+    Args:
+        package: the folder of alternatives.
+        paths: its `__path__`.
+        extensions: the folder of its extensions.
+        name: of the alternative, an untrusted word.
+    """
+    if name in module_names(paths):
+        return f"{package}.{name}"
+    if (
+        not name.isidentifier()
+        or not _exists(EXTENSIONS)
+        or not _exists(f"{EXTENSIONS}.{extensions}")
+    ):
+        return None
+    full_name = f"{EXTENSIONS}.{extensions}.{name}"
+    return full_name if _exists(full_name) else None
+
+
+def _exists(module_name: str) -> bool:
+    return importlib.util.find_spec(module_name) is not None
 
 
 def _modules_in(package: ModuleType) -> Iterator[ModuleType]:

@@ -13,7 +13,7 @@ import yaml
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = ROOT / "docs/how-to/add-a-unit.md"
-FILE = re.compile(r"[Ss]ave this file\s+as\s+`([^`]+)`:\n\n```\w+\n(.*?)```", re.DOTALL)
+FILE = re.compile(r"<!-- test: save (\S+) -->\n```\w+\n(.*?)```", re.DOTALL)
 QUICK = ROOT / "config/programs/quick.yaml"
 
 
@@ -21,6 +21,7 @@ def written_files(folder: Path) -> list[str]:
     """Write the files of the page, as a reader does."""
     files = FILE.findall(PAGE.read_text(encoding="utf-8"))
     for name, text in files:
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
         (folder / name).write_text(text, encoding="utf-8")
     return [name for name, _ in files]
 
@@ -41,8 +42,8 @@ def run(folder: Path, *words: str) -> str:
 def test_the_unit_of_the_page_records_and_solves(tmp_path: Path) -> None:
     names = written_files(tmp_path)
     assert names == [
-        "gyrorig_unit_turntable.py",
-        "gyrorig_unit_turntable_emulator.py",
+        "gyrorig_extensions/units/turntable.py",
+        "gyrorig_extensions/emulated_units/emulated_turntable.py",
         "rig-turntable.yaml",
     ]
     record = ["gyrorig_daemon", "record", "--config", names[2], "--program", str(QUICK)]

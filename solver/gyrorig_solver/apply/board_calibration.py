@@ -150,17 +150,17 @@ class Calibration:
         degc = np.atleast_1d(np.nan if temperature is None else temperature)
         is_outside = np.isfinite(degc) & ~self.correction.covers(degc)
         if outside == "error" and is_outside.any():
-            raise InputError(*self.outside_range_texts(degc[is_outside]))
+            raise self.outside_range_error(degc[is_outside])
         rates = self.correction.rates(rows, self.scale_of(unit), temperature, force, out)
         if is_outside.any():
             rates[np.broadcast_to(is_outside, rates.shape[:1])] = np.nan
         return rates.reshape(values.shape)
 
-    def outside_range_texts(self, temperature_degc: FloatArray) -> tuple[str, str]:
-        """Return what is wrong with temperatures outside the valid range, and what to do."""
+    def outside_range_error(self, temperature_degc: FloatArray) -> InputError:
+        """Return the error of temperatures outside the valid range."""
         low, high = self.correction.temperature_range_degc or (-np.inf, np.inf)
         coldest, warmest = np.nanmin(temperature_degc), np.nanmax(temperature_degc)
-        return (
+        return InputError(
             f"the calibration of {self.board} is valid from {low:.1f} to {high:.1f} degC, but the "
             f"board had {coldest:.1f} to {warmest:.1f} degC",
             "record the board at rest at these temperatures, and solve again",

@@ -183,7 +183,7 @@ class _MessageBuilder:
         degc = rise + correction.reference_degc
         covered = correction.covers(degc)
         if not covered.any():
-            raise InputError(*self._calibration.outside_range_texts(degc))
+            raise self._calibration.outside_range_error(degc)
         return covered
 
     def batches(self) -> Iterator[MessageBatch]:

@@ -25,11 +25,13 @@ from gyrorig_solver.importers import (
     "--map",
     "map_path",
     type=click.Path(path_type=Path, dir_okay=False),
-    help="Column map (YAML), for files that do not specify what their columns measure.",
+    help="For files that do not specify what their columns measure: column map (YAML).",
 )
 @output_option("Recording to write; it must not exist.  [default: name of INPUT with .mcap]")
 @click.option("--board", help="Name of the board.  [default: from the input or the map]")
-@click.option("--sensor", help="Sensor type, for example MPU-6515, if the input does not give it.")
+@click.option(
+    "--sensor", help="Only if the input does not give it: sensor type, for example MPU-6515."
+)
 @click.option(
     "--topic",
     "topics",
@@ -39,7 +41,7 @@ from gyrorig_solver.importers import (
 @click.option(
     "--reference",
     type=click.Path(path_type=Path),
-    help="File with reference attitudes on the same clock; the same as another INPUT.",
+    help="For reference attitudes in another file on the same clock; the same as another INPUT.",
 )
 @click.option(
     "--stamp",
@@ -50,7 +52,7 @@ from gyrorig_solver.importers import (
     "--beside",
     "unit_recording",
     type=click.Path(path_type=Path, dir_okay=False),
-    help="Recording of the unit that turned the device; dates the samples by the motion.",
+    help="For samples without times: recording of the unit that turned the device.",
 )
 @json_option
 @click.pass_obj

@@ -28,7 +28,9 @@ from gyrorig_solver.report import ReportData, render_calibration
 @click.command("temperature")
 @click.argument("values", nargs=-1, required=True, type=click.Path(path_type=Path, dir_okay=False))
 @click.option("--board", help="Name of the board.  [default: that of the calibration]")
-@click.option("--sensor", default="unknown", help="Type of the sensor, if there is no calibration.")
+@click.option(
+    "--sensor", default="unknown", help="Only if there is no calibration: type of the sensor."
+)
 @click.option(
     "--unit",
     type=SuggestingChoice(tuple(UNITS)),

@@ -13,7 +13,6 @@ What to use when: `read_stamps` for the candidates of a row of stamps.
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.ndimage import minimum_filter1d, uniform_filter1d
 
 from gyrorig_solver.data import BoolArray, FloatArray, IntArray
 from gyrorig_solver.data.clocks.latency_floor import find_latency_floor
@@ -171,6 +170,8 @@ def number_frames(
     row = np.arange(stamp_s.size, dtype=np.int64)
     offset_s = stamp_s - period_s * row
     if by_least:
+        from scipy.ndimage import minimum_filter1d  # noqa: PLC0415 - slow to load
+
         least_s = minimum_filter1d(
             offset_s, STALL_FRAMES, mode="nearest", origin=-(STALL_FRAMES // 2)
         )
@@ -304,4 +305,6 @@ def _robust_line(x: FloatArray, y: FloatArray, scale: float) -> FloatArray:
 
 
 def _running_mean(values: FloatArray, width: int) -> FloatArray:
+    from scipy.ndimage import uniform_filter1d  # noqa: PLC0415 - slow to load
+
     return np.asarray(uniform_filter1d(values, min(width, values.size), mode="nearest"), np.float64)

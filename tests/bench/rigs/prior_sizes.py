@@ -191,6 +191,7 @@ PERSISTENT = (
 
 NOT_SIMULATED = {
     "clock_offset": "each rig has a random lag; it is a parameter of the base model",
+    "clock_sawtooth": "the clocks of the simulated rigs are set only once",
     "axis_swap": "an exact exchange of two axes; the sensor matrix contains it",
     "sign_flip": "an exact change of sign; no mount of the simulated rigs has it",
     "wrong_full_scale": "an exact factor of two; the scale factor contains it",

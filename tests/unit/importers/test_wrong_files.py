@@ -211,7 +211,10 @@ WRONG: dict[str, tuple[WrongFile, str, str]] = {
     "cut ulog": (cut(write_ulog, 0.0003), "damaged or incomplete", "Copy the log"),
     "ulog of four billion fields": (lying_ulog, "too many fields", "Copy the log"),
     "ulog without gyro": (ulog_without_gyro, "contains no gyroscope", "Set SDLOG_PROFILE"),
-    "cut dataflash": (cut(write_dataflash, 0.0002), "contains no FMT message", "Download the log"),
+    "cut dataflash": (cut(write_dataflash, 0.0002), "too short for", "Download the log"),
+    "dataflash without formats": (
+        plain("a.bin", b"\xa3\x95\x80" + bytes(100)), "contains no FMT message", "Download the log"
+    ),
     "dataflash without gyro": (
         plain("a.bin", dataflash_head(["BAT"]) + dataflash_message("BAT", 1, 16.0, 1)),
         "no messages of a gyroscope", "LOG_BITMASK",

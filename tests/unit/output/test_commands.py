@@ -92,7 +92,6 @@ def test_help_names_every_command_and_version_the_project(capsys: Captured) -> N
         ["solve", "x.mcap", "--method", "magic"],
         ["check", "--colour"],
         ["demo", "--seed", "-1"],
-        ["import", "csv", "x.csv", "--out", "x.mcap"],
         ["import", "no-such-format", "x.csv", "--out", "x.mcap"],
     ],
 )
