@@ -31,6 +31,24 @@ def emulation_flags(command: CommandFunction) -> CommandFunction:
                 ),
             ),
             click.option(
+                "--session-seed",
+                type=click.IntRange(min=0),
+                help=(
+                    "With an emulated rig: random seed of the noise of this session. Sessions of "
+                    "one rig with different seeds have independent noise.  [default: the noise "
+                    "follows from --seed]"
+                ),
+            ),
+            click.option(
+                "--draw",
+                type=click.IntRange(min=0),
+                default=0,
+                show_default=True,
+                metavar="NUMBER",
+                help="With a twin: draw the parameters from their posterior. The same number gives "
+                "the same parameters; 0 gives the best values.",
+            ),
+            click.option(
                 "--truth",
                 type=YAML_FILE,
                 help="With an emulated rig: write the true parameters to this file, as JSON if the "
@@ -58,6 +76,9 @@ def emulation_options(options: dict[str, Any], session_s: tuple[float, float]) -
     """Return the options of the command line as one object."""
     return EmulationOptions(
         seed=options["seed"],
+        session_seed=options["session_seed"],
+        draw=options["draw"],
+        twin_recording=options.get("twin_recording"),
         truth=options["truth"],
         rates=options.get("rates"),
         hide=options["hide"],

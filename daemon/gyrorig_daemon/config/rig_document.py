@@ -27,6 +27,7 @@ from gyrorig_protocol.documents import convert_document, parse_yaml
 from gyrorig_protocol.errors import InputError, UsageError
 from gyrorig_protocol.identity import BoardId
 from gyrorig_protocol.suggestions import did_you_mean
+from gyrorig_protocol.twin import Twin, check_twin
 
 SCHEMA = "gyrorig/rig/1"
 EMULATED = "emulated"
@@ -171,6 +172,7 @@ class RigConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     emulator: Emulator = Emulator()
     schedule: Annotated[tuple[ScheduleEntry, ...], msgspec.Meta(max_length=100)] = ()
     service: ServiceSettings = ServiceSettings()
+    twin: Twin | None = None  # measured properties of a rig, for its emulated devices
 
     @property
     def is_emulated(self) -> bool:
@@ -240,6 +242,8 @@ def parse_rig(text: str | bytes, name: str, folder: Path | None = None) -> RigCo
         )
     _validate_limits(rig.ptu.limits, name)
     validate_schedule(rig.schedule, name)
+    if rig.twin is not None:
+        _validate_twin(rig, rig.twin, name)
     return rig
 
 
@@ -321,6 +325,17 @@ def _validate_emulated_line(board: BoardPort, sample_bytes: int, odr_hz: int, na
             f"{board.baud} baud",
             f"set `baud` to {sufficient_baud} or more",
         )
+
+
+def _validate_twin(rig: RigConfig, twin: Twin, name: str) -> None:
+    check_twin(twin, f"{name}: twin")
+    for board in rig.boards:
+        if rig.is_emulated_board(board) and board.id not in twin.boards:
+            hint = did_you_mean(board.id, twin.boards)
+            raise UsageError(
+                f"{name}: the section `twin` has no board {board.id}",
+                hint or f"give the board an id of the twin: {', '.join(twin.boards)}",
+            )
 
 
 def _validate_limits(limits: CommandLimits, name: str) -> None:

@@ -86,7 +86,8 @@ class EmulatedRig:
         self.origin_ns = origin_ns
         self.truth = truth or sample_rig_truth(settings)
         self.hooks = self.fresh_hooks()
-        root = np.random.default_rng([settings.seed, _RUNTIME_STREAM])
+        session = () if settings.session_seed is None else (settings.session_seed,)
+        root = np.random.default_rng([settings.seed, _RUNTIME_STREAM, *session])
         latency_rng, ptu_rng, counter_rng, *board_rngs = root.spawn(3 + len(settings.boards))
         unit_settings = settings.ptu or PtuSettings()
         make_stage = Stage if settings.hand is None else HandStage
@@ -192,7 +193,7 @@ class EmulatedRig:
 
     def fresh_hooks(self) -> RigHooks:
         """Return the hooks of the injected causes in their state at power-up."""
-        hooks = apply_causes(self.truth.injected, self.truth.seed)
+        hooks = apply_causes(self.truth.injected, self.truth.seed, self.settings.session_seed)
         if self.extra_effects is not None:
             self.extra_effects(hooks)
         return hooks

@@ -127,6 +127,7 @@ class BoardSettings:
     odr_hz: float = 100.0  # nominal
     bandwidth_hz: float = 25.0
     full_scale_dps: float = 250.0
+    count_mdps: float = 0.0  # per count, nominal; 0: as an L3G4200D with this full scale
     baud: int = 460800
     format: str = "gcb1"  # a protocol of `emulator.board.protocols`
     batch: int = 1  # samples per frame
@@ -165,7 +166,8 @@ class InjectionRequest:
 class RigSettings:
     """A whole emulated rig."""
 
-    seed: int = 1
+    seed: int = 1  # of the true parameters
+    session_seed: int | None = None  # of the noise of one session; None: it follows from `seed`
     ptu: PtuSettings | None = PtuSettings()
     hand: HandSettings | None = None  # a person instead of the unit
     boards: tuple[BoardSettings, ...] = (BoardSettings(),)

@@ -41,7 +41,9 @@ class NoiseFreeRates:
     slope_rad_s2: FloatArray  # time derivative of the aligned rates, (n, 3)
 
 
-def compare_noise_free(rig: EmulatedRig, until_ns: int) -> dict[str, NoiseFreeRates]:
+def compare_noise_free(
+    rig: EmulatedRig, until_ns: int, plain: RigTruth | None = None
+) -> dict[str, NoiseFreeRates]:
     """Return the rates of each board by name.
 
     Corrupted, swapped and lost counts are not included, because they occur after the rate.
@@ -49,9 +51,10 @@ def compare_noise_free(rig: EmulatedRig, until_ns: int) -> dict[str, NoiseFreeRa
     Args:
         rig: after its session.
         until_ns: end, on the rig's clock.
+        plain: the truth without causes; sampled from the seed by default.
     """
     commands = {"pan": rig.stage.pan.commands, "tilt": rig.stage.tilt.commands}
-    twin = RigTwin(rig.settings, rig.origin_ns, commands, until_ns)
+    twin = RigTwin(rig.settings, rig.origin_ns, commands, until_ns, plain)
     return twin.rates(rig)
 
 

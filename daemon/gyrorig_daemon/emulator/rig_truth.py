@@ -42,6 +42,7 @@ class BoardTruth:
     nonorthogonality: FloatArray  # T, unit lower triangular, (3, 3)
     clock: ClockTruth
     stamp_jitter_s: float  # mean of the interrupt's exponential delay
+    stamp_early_s: float = 0.0  # by which each timestamp is too early
 
     def to_document(self) -> dict[str, Any]:
         """Return plain values with units in the names."""
@@ -143,7 +144,12 @@ def sample_rig_truth(settings: RigSettings) -> RigTruth:
         },
         injected=injected,
     )
-    return base.with_hooks(apply_causes(injected, settings.seed))
+    return base.with_hooks(apply_causes(injected, settings.seed, settings.session_seed))
+
+
+def mdps_per_count(settings: BoardSettings) -> float:
+    """Return the nominal rate per count of the gyroscope."""
+    return settings.count_mdps or GYRO_MDPS_PER_COUNT[settings.full_scale_dps]
 
 
 def sample_board_truth(settings: BoardSettings, rng: np.random.Generator) -> BoardTruth:
@@ -164,7 +170,7 @@ def sample_board_truth(settings: BoardSettings, rng: np.random.Generator) -> Boa
         bias_instability_rad_s=rng.uniform(20.0, 40.0, 3) * DEG / 3600.0,
         rate_random_walk=0.3e-3 * DEG * rng.uniform(0.5, 1.5, 3),
         tau_s=float(rng.uniform(0.1, 0.6)) / settings.odr_hz,
-        gyro_scale_rad_s=GYRO_MDPS_PER_COUNT[settings.full_scale_dps] * 1e-3 * DEG,
+        gyro_scale_rad_s=mdps_per_count(settings) * 1e-3 * DEG,
         gyro_limit_rad_s=settings.full_scale_dps * DEG,
         accel_scale_m_s2=STANDARD_GRAVITY_M_S2 / ACCEL_COUNTS_PER_G,
         accel_gain=1.0 + rng.uniform(-0.02, 0.02, 3),

@@ -6,12 +6,13 @@ process ends immediately; the ports; a halt, before anything else is sent; readi
 """
 
 import contextlib
+import secrets
 import socket
 import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -225,7 +226,7 @@ class ServiceProcess:
                 from gyrorig_daemon.session.emulator_process import EmulatorProcess  # noqa: PLC0415
 
                 process = stack.enter_context(
-                    EmulatorProcess(self._options.config_path, self._options.emulation)
+                    EmulatorProcess(self._options.config_path, self._new_session_seed())
                 )
                 self._emulator_exit_reason = process.ending_text
                 stack.callback(self._clear_emulator)
@@ -244,6 +245,14 @@ class ServiceProcess:
                 paths=paths,
                 view=self._view,
             )
+
+    def _new_session_seed(self) -> EmulationOptions:
+        """Return the options of an emulated rig whose noise differs from that of every other one.
+
+        One emulated rig serves all sessions until the service or the rig ends, and its noise goes
+        on from session to session.
+        """
+        return replace(self._options.emulation, session_seed=secrets.randbits(32))
 
     def _clear_emulator(self) -> None:
         self._emulator_exit_reason = str

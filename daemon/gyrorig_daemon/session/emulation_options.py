@@ -23,6 +23,9 @@ class EmulationOptions:
     """Options for an emulated rig, in addition to its configuration."""
 
     seed: int | None = None  # replaces the seed of the configuration
+    session_seed: int | None = None  # of the noise of the session; None: it follows from `seed`
+    draw: int = 0  # number of the draw from the posterior of a twin; 0: its best values
+    twin_recording: str | None = None  # whose single events happen, see `make_twin_rig`
     truth: Path | None = None
     rates: Path | None = None  # see `emulator.noise_free_rates`
     hide: tuple[str, ...] = ()  # see `causes.parse_injection`
@@ -37,6 +40,12 @@ class EmulationOptions:
             words += ["--hide", text]
         if self.seed is not None:
             words += ["--seed", str(self.seed)]
+        if self.session_seed is not None:
+            words += ["--session-seed", str(self.session_seed)]
+        if self.draw:
+            words += ["--draw", str(self.draw)]
+        if self.twin_recording is not None:
+            words += ["--twin-recording", self.twin_recording]
         if self.truth is not None:
             words += ["--truth", str(self.truth)]
         if self.noise_free:

@@ -9,6 +9,7 @@ import json
 import subprocess
 import sys
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -23,7 +24,9 @@ from gyrorig_daemon.emulator.emulator_settings import (
     RigSettings,
 )
 from gyrorig_daemon.emulator.injection import RANDOM, parse_injection, sample_injected_causes
+from gyrorig_daemon.emulator.rig_truth import RigTruth
 from gyrorig_daemon.emulator.truth_commitment import TruthCommitment
+from gyrorig_daemon.emulator.twin import draw_twin, make_twin_rig
 from gyrorig_daemon.emulator.units import find_front_end
 from gyrorig_daemon.session.emulation_options import EmulationOptions
 from gyrorig_protocol.atomic_files import write_atomically
@@ -95,17 +98,55 @@ def emulated_rig_settings(
         noise_free=emulation.noise_free,
         session_s=emulation.session_s,
         soak_k=emulation.soak_k,
+        session_seed=emulation.session_seed,
         latitude_deg=config.site.latitude_deg,
         heading_deg=config.site.heading_deg,
     )
 
 
-def check_hidden_causes(config: RigConfig, emulation: EmulationOptions) -> None:
-    """Check the hidden causes before anything is started.
+@dataclass(frozen=True, slots=True, eq=False)
+class BuiltRig:
+    """An emulated rig, and what only its maker knows of it."""
+
+    rig: EmulatedRig
+    plain: RigTruth | None  # the truth without causes; None: it is sampled from the seed
+    notes: tuple[str, ...]  # causes of a twin that the rig does not have
+
+
+def build_emulated_rig(
+    config: RigConfig, emulation: EmulationOptions, origin_ns: int, is_instant: bool = False
+) -> BuiltRig:
+    """Return the emulated rig of a configuration, from its twin if it has one.
+
+    Args:
+        config: the rig.
+        emulation: hidden causes and other options.
+        origin_ns: power-up, on the clock of the hub or server that drives the rig.
+        is_instant: see `emulated_rig_settings`.
 
     Raises:
-        UsageError: a cause, place or size is not valid, or secret parameters have no file.
+        UsageError: a cause cannot be hidden, or the twin cannot be used.
     """
+    settings = emulated_rig_settings(config, emulation=emulation, is_instant=is_instant)
+    if config.twin is None:
+        return BuiltRig(EmulatedRig(settings, origin_ns), None, ())
+    twin = draw_twin(config.twin, emulation.draw)
+    made = make_twin_rig(twin, settings, emulation.twin_recording)
+    return BuiltRig(EmulatedRig(made.settings, origin_ns, made.truth), made.plain, made.notes)
+
+
+def check_emulation(config: RigConfig, emulation: EmulationOptions) -> None:
+    """Check the hidden causes and the twin before anything is started.
+
+    Raises:
+        UsageError: a cause, place or size is not valid, secret parameters have no file, or the twin
+            cannot be used.
+    """
+    if emulation.draw and config.twin is None:
+        raise UsageError(
+            "the option --draw needs a rig file with the section `twin`",
+            "remove --draw, or give the file twin.yaml that `gyrorig twin` has written",
+        )
     settings = emulated_rig_settings(config, emulation=emulation)
     if emulation.truth is None and any(
         hidden_cause.cause == RANDOM for hidden_cause in settings.injections
@@ -115,7 +156,10 @@ def check_hidden_causes(config: RigConfig, emulation: EmulationOptions) -> None:
             "written only to the output file of --truth",
             "add --truth FILE. The daemon writes the true parameters to this file",
         )
-    sample_injected_causes(settings)
+    if config.twin is None:
+        sample_injected_causes(settings)
+    else:
+        make_twin_rig(draw_twin(config.twin, emulation.draw), settings, emulation.twin_recording)
 
 
 def write_truth(path: Path, document: Mapping[str, Any]) -> None:

@@ -36,7 +36,7 @@ from gyrorig_daemon.session.session_environment import (
     ignore_progress,
     ignore_summary,
 )
-from gyrorig_protocol.errors import DeviceError, MachineError, UsageError
+from gyrorig_protocol.errors import DeviceError, MachineError, UsageError, sentence
 
 POWER_UP_NS = 5_000_000_000  # power-up of a simulated rig, by the rig's raw clock
 HALT_COMMAND = " H "  # sent if the daemon dies; the first space ends a truncated command
@@ -93,10 +93,10 @@ def record_in_real_time(task: RecordTask) -> Path:
         if emulated:
             from gyrorig_daemon.session.emulator_process import (  # noqa: PLC0415
                 EmulatorProcess,
-                check_hidden_causes,
+                check_emulation,
             )
 
-            check_hidden_causes(config, emulation)
+            check_emulation(config, emulation)
             process = stack.enter_context(EmulatorProcess(task.config_path, emulation))
             if process.commitment is not None:
                 task.on_commitment(process.commitment)
@@ -135,9 +135,11 @@ def _refuse_emulation_options(emulation: EmulationOptions) -> None:
             "real rig are not known",
             "remove the option --truth",
         )
-    if emulation.hide or emulation.noise_free or emulation.soak_k:
+    has_seeds = emulation.session_seed is not None or emulation.draw
+    if emulation.hide or emulation.noise_free or emulation.soak_k or has_seeds:
         raise UsageError(
-            "the options --hide, --noise-free and --soak need an emulated rig",
+            "the options --hide, --noise-free, --soak, --session-seed and --draw need an emulated "
+            "rig",
             "remove these options, or write `emulated` as the ports in the rig file",
         )
 
@@ -149,7 +151,6 @@ def record_in_simulated_time(task: RecordTask) -> Path:
         UsageError: a port is not emulated.
         GyrorigError: see `record_session`.
     """
-    from gyrorig_daemon.emulator.emulated_rig import EmulatedRig  # noqa: PLC0415
     from gyrorig_daemon.emulator.noise_free_rates import (  # noqa: PLC0415
         compare_noise_free,
         move_starts_s,
@@ -158,8 +159,8 @@ def record_in_simulated_time(task: RecordTask) -> Path:
     from gyrorig_daemon.emulator.virtual_hub import VirtualHub  # noqa: PLC0415
     from gyrorig_daemon.session.emulator_process import (  # noqa: PLC0415
         TruthFile,
-        check_hidden_causes,
-        emulated_rig_settings,
+        build_emulated_rig,
+        check_emulation,
     )
 
     config = task.request.config
@@ -168,9 +169,11 @@ def record_in_simulated_time(task: RecordTask) -> Path:
             "the option --simulated-time needs a rig with emulated ports only",
             "remove the option --simulated-time, or write `emulated` as every port in the rig file",
         )
-    check_hidden_causes(config, task.emulation)
-    settings = emulated_rig_settings(config, emulation=task.emulation)
-    rig = EmulatedRig(settings, POWER_UP_NS)
+    check_emulation(config, task.emulation)
+    built = build_emulated_rig(config, task.emulation, POWER_UP_NS)
+    rig, settings = built.rig, built.rig.settings
+    for note in built.notes:
+        task.say(sentence(note))
     truth = TruthFile(task.emulation, rig)
     if truth.commitment is not None:
         task.on_commitment(truth.commitment)
@@ -186,7 +189,7 @@ def record_in_simulated_time(task: RecordTask) -> Path:
         read_host=read_host,
         threaded_writer=False,
         host=task.host,
-        seed=settings.seed,
+        seed=settings.seed if settings.session_seed is None else settings.session_seed,
         stop=task.stop,
         progress=task.progress,
         on_event=task.on_event,
@@ -196,7 +199,7 @@ def record_in_simulated_time(task: RecordTask) -> Path:
     path = _record(hub, task.request, environment)
     truth.write_full_truth(POWER_UP_NS, hub.now_ns())
     if task.emulation.rates is not None:
-        rates = compare_noise_free(rig, hub.now_ns())
+        rates = compare_noise_free(rig, hub.now_ns(), built.plain)
         write_rates(task.emulation.rates, rates, move_starts_s(rig))
     return path
 
@@ -241,12 +244,11 @@ def serve_emulated_rig(
         UsageError: no port is emulated, or a cause cannot be hidden.
         MachineError: there is no pseudo-terminal, or the truth file cannot be written.
     """
-    from gyrorig_daemon.emulator.emulated_rig import EmulatedRig  # noqa: PLC0415
     from gyrorig_daemon.emulator.pty_server import serve_rig  # noqa: PLC0415
     from gyrorig_daemon.session.emulator_process import (  # noqa: PLC0415
         TruthFile,
-        check_hidden_causes,
-        emulated_rig_settings,
+        build_emulated_rig,
+        check_emulation,
     )
 
     if EMULATED not in config.ports().values():
@@ -254,9 +256,9 @@ def serve_emulated_rig(
             "the rig file has no emulated port, so there is nothing to emulate",
             "write `emulated` as the port of the unit or of a board, as in config/rig.yaml",
         )
-    check_hidden_causes(config, emulation)
+    check_emulation(config, emulation)
     begin_ns = raw_ns()
-    rig = EmulatedRig(emulated_rig_settings(config, emulation=emulation, is_instant=True), begin_ns)
+    rig = build_emulated_rig(config, emulation, begin_ns, is_instant=True).rig
     truth = TruthFile(emulation, rig)
     serve_rig(rig, lambda ports: announce(ports, truth.commitment), stop.is_set, links)
     truth.write_full_truth(begin_ns, raw_ns())

@@ -141,7 +141,7 @@ class TwinBoard(_Part, frozen=True):
 
     gain: Matrix  # STM of the calibration
     bias: Vector  # rad/s
-    time_offset: Scalar  # s, without the delay of the low-pass
+    time_offset: Scalar  # s, with the delay of the low-pass
     noise_density: Vector | None = None  # rad/s/sqrt(Hz), one-sided
     bias_instability: Vector | None = None  # rad/s
     rate_random_walk: Vector | None = None  # rad/s/sqrt(s)

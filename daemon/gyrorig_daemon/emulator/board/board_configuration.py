@@ -10,7 +10,12 @@ from dataclasses import replace
 
 from gyrorig_daemon.emulator.emulator_settings import BANDWIDTHS_HZ, BoardSettings
 from gyrorig_daemon.emulator.physics.imu import ImuTruth
-from gyrorig_daemon.emulator.rig_truth import ACCEL_COUNTS_PER_G, DEG, GYRO_MDPS_PER_COUNT
+from gyrorig_daemon.emulator.rig_truth import (
+    ACCEL_COUNTS_PER_G,
+    DEG,
+    GYRO_MDPS_PER_COUNT,
+    mdps_per_count,
+)
 from gyrorig_protocol.board.json_frames import Ack, Hello, Sensor, Set
 
 FIRMWARE = "1"  # short, because HELLO is one frame
@@ -24,7 +29,7 @@ def hello_frame(settings: BoardSettings, boot: int) -> Hello:
         Sensor(
             who=_WHO_L3G4200D,
             full_scale=_int_if_whole(settings.full_scale_dps),
-            per_count=round(GYRO_MDPS_PER_COUNT[settings.full_scale_dps] * 1e-3, 6),
+            per_count=round(mdps_per_count(settings) * 1e-3, 6),
             rate_hz=_int_if_whole(settings.odr_hz),
             bandwidth_hz=_int_if_whole(settings.bandwidth_hz),
         )
@@ -65,7 +70,7 @@ def apply_set(settings: BoardSettings, requested: Set) -> BoardSettings:
         settings, bandwidth_hz=min(bandwidths_hz, key=lambda hz: abs(hz - bandwidth))
     )
     if requested.full_scale_dps in GYRO_MDPS_PER_COUNT:
-        settings = replace(settings, full_scale_dps=float(requested.full_scale_dps))
+        settings = replace(settings, full_scale_dps=float(requested.full_scale_dps), count_mdps=0.0)
     if requested.accel is not None:
         settings = replace(settings, accel=requested.accel)
     max_samples = _MAX_SIX_AXIS_SAMPLES if settings.accel else _MAX_THREE_AXIS_SAMPLES
@@ -92,7 +97,7 @@ def reconfigure_imu(imu: ImuTruth, before: BoardSettings, after: BoardSettings) 
         odr_hz=imu.odr_hz * ratio,
         tau_s=imu.tau_s / ratio,
         bandwidth_hz=after.bandwidth_hz,
-        gyro_scale_rad_s=GYRO_MDPS_PER_COUNT[after.full_scale_dps] * 1e-3 * DEG,
+        gyro_scale_rad_s=mdps_per_count(after) * 1e-3 * DEG,
         gyro_limit_rad_s=after.full_scale_dps * DEG,
     )
 

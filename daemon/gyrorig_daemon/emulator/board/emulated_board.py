@@ -77,6 +77,7 @@ class EmulatedBoard:
         self.clock = DeviceClock(truth.clock, origin_ns, clock_rng, self._resets_ns)
         self._in = ReceiveLine(settings.baud)
         self._byte_ns = byte_ns(settings.baud)
+        self._stamp_early_ns = round(truth.stamp_early_s * 1e9)
         self._free_ns = origin_ns
         self._protocol = find_emulated_protocol(settings.format)
         self._parser = self._protocol.make_parser()
@@ -211,7 +212,8 @@ class EmulatedBoard:
                 number = (
                     block.first + row - self._imu.samples_before((boot_ns - self._origin_ns) * 1e-9)
                 )
-            data = self._encoder.encode(block, row, step, number, self.clock.ticks(last_ns))
+            stamp = self.clock.ticks(last_ns - self._stamp_early_ns)
+            data = self._encoder.encode(block, row, step, number, stamp)
             frames.append((last_ns + _BUS_READ_NS, data))
         faulty = inject_line_faults(self.settings.faults, self._first_frame, frames)
         # Without frames there is still a time at which the next block starts.

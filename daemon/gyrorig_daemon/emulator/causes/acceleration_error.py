@@ -19,6 +19,7 @@ class AccelerationError(UnitCause):
     sampled_min, sampled_max = 5e-4, 2e-2
     max_size = 0.5
     parameter = "relative_error"
+    stated_name = "share"
     acts_on_all = True
 
     @classmethod

@@ -5,7 +5,13 @@ The attitude of the stage is computed in `physics.stage_motion`.
 
 import numpy as np
 
-from gyrorig_daemon.emulator.causes.cause import Cause, InjectedCause
+from gyrorig_daemon.emulator.causes.cause import (
+    CarriedCause,
+    Cause,
+    InjectedCause,
+    Quantity,
+    StatedCause,
+)
 from gyrorig_daemon.emulator.physics.effects.rig_hooks import RigHooks
 
 
@@ -21,6 +27,12 @@ class AxisNonorthogonality(Cause):
     max_size = 0.1
     parameter = "angle"
     components = ("tilt",)
+
+    @classmethod
+    def from_findings(cls, stated: StatedCause) -> tuple[CarriedCause, ...]:
+        """See `Cause`."""
+        angle_rad = -stated.number("angle")  # findings: positive leans the pan axis towards +x
+        return (CarriedCause({cls.parameter: Quantity(angle_rad, cls.unit)}, "tilt"),)
 
     @classmethod
     def apply(cls, injected: InjectedCause, hooks: RigHooks, rng: np.random.Generator) -> None:

@@ -10,9 +10,18 @@ Homing ends in the negative direction, from the upper stop. At the homed zero th
 therefore on the lower flank, y = x, which is the initial state.
 """
 
+import math
+
 import numpy as np
 
-from gyrorig_daemon.emulator.causes.cause import FloatArray, InjectedCause, UnitCause
+from gyrorig_daemon.emulator.causes.cause import (
+    CarriedCause,
+    FloatArray,
+    InjectedCause,
+    Quantity,
+    StatedCause,
+    UnitCause,
+)
 from gyrorig_daemon.emulator.physics.effects.axis_effects import Motor, StateHistory
 from gyrorig_daemon.emulator.physics.effects.rig_hooks import RigHooks
 
@@ -31,18 +40,44 @@ class Backlash(UnitCause):
     parameter = "gap"
     is_signed = False
 
-    def __init__(self, gap_steps: float) -> None:
-        """Take the width of the gap in steps of the motor, not negative."""
+    def __init__(self, gap_steps: float, begin: float = -1.0, shift_steps: float = 0.0) -> None:
+        """Start at rest.
+
+        Args:
+            gap_steps: width of the gap in steps of the motor, not negative.
+            begin: the face at power-up: 1 has pushed upwards in steps, -1 downwards.
+            shift_steps: constant part of the position behind the gap.
+        """
         self._gap = gap_steps
+        self._begin = begin
+        self._shift_steps = shift_steps
         self._history: StateHistory[float | None] = StateHistory(None)
+
+    @classmethod
+    def from_findings(cls, stated: StatedCause) -> tuple[CarriedCause, ...]:
+        """See `Cause`; findings centre the wheel in the gap, and their faces are of the angle."""
+        return tuple(
+            CarriedCause(
+                {
+                    "gap": Quantity(gap_rad, "rad"),
+                    "begin": Quantity(_face(stated, axis), "1"),
+                    "shift": Quantity(0.5 * gap_rad, "rad"),
+                },
+                axis,
+            )
+            for axis, gap_rad in stated.by_unit_axis("gap")
+        )
 
     @classmethod
     def apply(cls, injected: InjectedCause, hooks: RigHooks, rng: np.random.Generator) -> None:
         """See `Cause`; the rig knows the angle of a step."""
         gap_rad = injected.number("gap")
+        begin, shift_rad = injected.number_or("begin", -1.0), injected.number_or("shift", 0.0)
         if gap_rad > 0.0:
             for axis in injected.axis_hooks(hooks):
-                axis.step_effect_makers.append(lambda step_rad: cls(gap_rad / step_rad))
+                axis.step_effect_makers.append(
+                    lambda step_rad: cls(gap_rad / step_rad, begin, shift_rad / step_rad)
+                )
 
     def passed_steps(
         self, motor: Motor, start_s: float, offsets_s: FloatArray, steps: FloatArray
@@ -58,7 +93,7 @@ class Backlash(UnitCause):
             passed[interval] = np.clip(wheel, steps[interval] - self._gap, steps[interval])
             if k < len(reversals):
                 wheel = self._clipped(motor, reversals[k], wheel)
-        return passed
+        return passed + self._shift_steps if self._shift_steps else passed
 
     def forget(self, time_s: float) -> None:
         """See `axis_effects.StepEffect`."""
@@ -66,7 +101,9 @@ class Backlash(UnitCause):
 
     def _wheel_before(self, motor: Motor, time_s: float) -> float:
         known_s, known = self._history.last_before(time_s)
-        wheel = self._rotor(motor, 0.0) if known is None else known
+        wheel = known
+        if wheel is None:
+            wheel = self._rotor(motor, 0.0) - 0.5 * (1.0 + self._begin) * self._gap
         for reversal_s in motor.reversal_times_s(known_s, time_s):
             wheel = self._clipped(motor, reversal_s, wheel)
             self._history.keep(reversal_s, wheel)
@@ -79,3 +116,9 @@ class Backlash(UnitCause):
     @staticmethod
     def _rotor(motor: Motor, time_s: float) -> float:
         return float(motor.rotor_steps(time_s, _NO_OFFSET)[0])
+
+
+def _face(stated: StatedCause, axis: str) -> float:
+    """Return the face at the begin of the recording, by the direction in steps."""
+    begin = stated.number(f"begin.{axis}", -1.0)
+    return math.copysign(1.0, stated.step_rad[axis]) * min(max(begin, -1.0), 1.0)

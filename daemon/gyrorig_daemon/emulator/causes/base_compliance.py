@@ -11,7 +11,14 @@ much stiffer than the bandwidth of the sensor. A softer base oscillates, see `ri
 
 import numpy as np
 
-from gyrorig_daemon.emulator.causes.cause import Cause, FloatArray, InjectedCause
+from gyrorig_daemon.emulator.causes.cause import (
+    CarriedCause,
+    Cause,
+    FloatArray,
+    InjectedCause,
+    Quantity,
+    StatedCause,
+)
 from gyrorig_daemon.emulator.physics.effects.axis_effects import Motor
 from gyrorig_daemon.emulator.physics.effects.rig_hooks import RigHooks
 
@@ -30,12 +37,21 @@ class BaseCompliance(Cause):
     sampled_min, sampled_max = 1.5e-5, 1.5e-4
     max_size = 1e-2
     parameter = "compliance"
+    stated_name = "coefficient"
     components = ("pan",)
     is_signed = False
 
     def __init__(self, compliance_s2: float) -> None:
         """Take inertia divided by stiffness."""
         self._compliance_s2 = compliance_s2
+
+    @classmethod
+    def from_findings(cls, stated: StatedCause) -> tuple[CarriedCause, ...]:
+        """See `Cause`."""
+        return tuple(
+            CarriedCause({cls.parameter: Quantity(value, cls.unit)}, axis)
+            for axis, value in stated.by_unit_axis(cls.stated_name)
+        )
 
     @classmethod
     def apply(cls, injected: InjectedCause, hooks: RigHooks, rng: np.random.Generator) -> None:

@@ -16,6 +16,7 @@ class BaseSpeedJump(UnitCause):
     sampled_min, sampled_max = 0.01, 0.15
     max_size = 1.0
     parameter = "added"
+    stated_name = "speed"
     acts_on_all = True
     is_signed = False
 

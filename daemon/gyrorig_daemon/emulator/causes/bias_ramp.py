@@ -4,7 +4,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gyrorig_daemon.emulator.causes.cause import FloatArray, InjectedCause, SensorCause
+from gyrorig_daemon.emulator.causes.cause import (
+    CarriedCause,
+    FloatArray,
+    InjectedCause,
+    Quantity,
+    SensorCause,
+    StatedCause,
+)
 from gyrorig_daemon.emulator.physics.effects.rig_hooks import RigHooks
 from gyrorig_daemon.emulator.physics.temperature import BoardTemperature
 
@@ -22,12 +29,20 @@ class BiasRamp(SensorCause):
     parameter = "slope"
 
     slope_rad_s2: FloatArray  # (3,)
+    zero_s: float = 0.0  # since power-up
+
+    @classmethod
+    def from_findings(cls, stated: StatedCause) -> tuple[CarriedCause, ...]:
+        """See `Cause`; the ramp of findings is 0 at the middle of the recording."""
+        slope = stated.by_sensor_axis("slope", cls.unit)
+        return (CarriedCause({"slope": slope, "zero_at": Quantity(stated.middle_s, "s")}),)
 
     @classmethod
     def apply(cls, injected: InjectedCause, hooks: RigHooks, rng: np.random.Generator) -> None:
         """See `Cause`."""
-        injected.board_hooks(hooks).bias_effects.append(cls(injected.array("slope")))
+        ramp = cls(injected.array("slope"), injected.number_or("zero_at", 0.0))
+        injected.board_hooks(hooks).bias_effects.append(ramp)
 
     def added_rad_s(self, time_s: FloatArray, temperature: BoardTemperature) -> FloatArray:
         """See `board_effects.BiasEffect`."""
-        return np.outer(time_s, self.slope_rad_s2)
+        return np.outer(time_s - self.zero_s, self.slope_rad_s2)

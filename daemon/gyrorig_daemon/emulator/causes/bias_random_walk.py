@@ -5,11 +5,13 @@ import math
 import numpy as np
 
 from gyrorig_daemon.emulator.causes.cause import (
+    CarriedCause,
     FloatArray,
     InjectedCause,
     ParameterSampling,
     Quantity,
     SensorCause,
+    StatedCause,
 )
 from gyrorig_daemon.emulator.physics.effects.rig_hooks import RigHooks
 from gyrorig_daemon.emulator.physics.temperature import BoardTemperature
@@ -45,6 +47,11 @@ class BiasRandomWalk(SensorCause):
         """See `Cause`."""
         walk = (abs(number) for number in sampling.by_axis("rad/s/sqrt(s)").array.tolist())
         return {"walk": Quantity(tuple(walk), "rad/s/sqrt(s)")}
+
+    @classmethod
+    def from_findings(cls, stated: StatedCause) -> tuple[CarriedCause, ...]:
+        """See `Cause`; the noise levels of the board contain the walk."""
+        return ()
 
     @classmethod
     def apply(cls, injected: InjectedCause, hooks: RigHooks, rng: np.random.Generator) -> None:

@@ -9,11 +9,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from gyrorig_daemon.emulator.causes.cause import (
+    CarriedCause,
     FloatArray,
     InjectedCause,
     ParameterSampling,
     Quantity,
     SensorCause,
+    StatedCause,
 )
 from gyrorig_daemon.emulator.physics.effects.rig_hooks import RigHooks
 from gyrorig_daemon.emulator.physics.temperature import BoardTemperature
@@ -37,6 +39,13 @@ class BiasStep(SensorCause):
     def sample_parameters(cls, sampling: ParameterSampling) -> dict[str, Quantity]:
         """See `Cause`."""
         return {"step": sampling.by_axis("rad/s"), "at": Quantity(sampling.event_s(), "s")}
+
+    @classmethod
+    def from_findings(cls, stated: StatedCause) -> tuple[CarriedCause, ...]:
+        """See `Cause`."""
+        return (
+            CarriedCause({"step": stated.by_sensor_axis("step", "rad/s"), "at": stated.event_s()}),
+        )
 
     @classmethod
     def apply(cls, injected: InjectedCause, hooks: RigHooks, rng: np.random.Generator) -> None:

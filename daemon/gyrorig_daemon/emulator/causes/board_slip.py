@@ -8,11 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from gyrorig_daemon.emulator.causes.cause import (
+    CarriedCause,
     Cause,
     FloatArray,
     InjectedCause,
     ParameterSampling,
     Quantity,
+    StatedCause,
 )
 from gyrorig_daemon.emulator.physics.effects.rig_hooks import RigHooks
 from gyrorig_daemon.emulator.physics.rotation import rotation_matrix
@@ -43,6 +45,18 @@ class BoardSlip(Cause):
             "turn": Quantity(tuple(turn.tolist()), "rad"),
             "at": Quantity(sampling.event_s(), "s"),
         }
+
+    @classmethod
+    def from_findings(cls, stated: StatedCause) -> tuple[CarriedCause, ...]:
+        """See `Cause`."""
+        turn = np.array(stated.by_sensor_axis("turn", "rad").value)
+        # Findings turn the rate about axes of the stage, the other way round.
+        in_sensor = -stated.on_board.mounting @ turn
+        return (
+            CarriedCause(
+                {"turn": Quantity(tuple(in_sensor.tolist()), "rad"), "at": stated.event_s()}
+            ),
+        )
 
     @classmethod
     def apply(cls, injected: InjectedCause, hooks: RigHooks, rng: np.random.Generator) -> None:

@@ -1,9 +1,9 @@
 """The base class of the causes that an emulated rig can inject, and their parameters.
 
 A cause is one class in a separate file. Its class attributes describe it (`Cause`),
-`sample_parameters` turns a size into physical parameters, and `apply` puts the effect on a
-rig. Directions, phases and times are sampled from the rig's seed. The truth document lists
-the parameters; `apply` needs nothing else.
+`sample_parameters` turns a size into physical parameters, `from_findings` turns the values of
+findings into them, and `apply` puts the effect on a rig. Directions, phases and times are sampled
+from the rig's seed. The truth document lists the parameters; `apply` needs nothing else.
 
 The physics is part of the class too: an instance of a cause is its effect on one rig, behind
 one of the interfaces in `physics.effects`. A cause that only changes a number of the rig (a
@@ -21,32 +21,32 @@ from numpy.typing import NDArray
 from gyrorig_daemon.emulator.emulator_settings import BoardSettings, RigSettings
 from gyrorig_daemon.emulator.physics.effects.board_effects import MotionSamples
 from gyrorig_daemon.emulator.physics.effects.rig_hooks import AxisHooks, BoardHooks, RigHooks
+from gyrorig_daemon.emulator.stated_cause import (
+    SENSOR_AXES,
+    UNIT_AXES,
+    CarriedCause,
+    Quantity,
+    StatedCause,
+)
 
 FloatArray = NDArray[np.float64]
 Part = Literal["clock", "link", "sensor", "ptu", "mount", "environment"]
 
-SENSOR_AXES = ("x", "y", "z")
-UNIT_AXES = ("pan", "tilt")
-
-
-@dataclass(frozen=True, slots=True)
-class Quantity:
-    """A number, or one number per axis, and its unit."""
-
-    value: float | tuple[float, ...]
-    unit: str
-
-    @property
-    def number(self) -> float:
-        """The value of a scalar quantity."""
-        if isinstance(self.value, tuple):
-            raise TypeError("this quantity has one value per axis")
-        return self.value
-
-    @property
-    def array(self) -> FloatArray:
-        """The values of a quantity per axis."""
-        return np.array(self.value, dtype=np.float64)
+__all__ = [
+    "SENSOR_AXES",
+    "UNIT_AXES",
+    "CarriedCause",
+    "Cause",
+    "FloatArray",
+    "InjectedCause",
+    "ParameterSampling",
+    "Part",
+    "Quantity",
+    "RateCause",
+    "SensorCause",
+    "StatedCause",
+    "UnitCause",
+]
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,9 +101,17 @@ class InjectedCause:
         """Return a scalar parameter."""
         return self.parameters[name].number
 
+    def number_or(self, name: str, default: float) -> float:
+        """Return a scalar parameter that only some causes of this name have."""
+        return self.parameters[name].number if name in self.parameters else default
+
     def array(self, name: str) -> FloatArray:
         """Return a parameter that has one value per axis."""
         return self.parameters[name].array
+
+    def array_or_zeros(self, name: str) -> FloatArray:
+        """Return a parameter per axis that only some causes of this name have."""
+        return self.parameters[name].array if name in self.parameters else np.zeros(3)
 
     def board_hooks(self, hooks: RigHooks) -> BoardHooks:
         """Return the hooks of the board on which the cause acts."""
@@ -149,11 +157,25 @@ class Cause(ABC):
     is_integer: ClassVar[bool] = False
     neutral_size: ClassVar[float] = 0.0  # the size that has no effect
     parameter: ClassVar[str] = ""  # name of the only parameter, which is the size
+    stated_name: ClassVar[str] = ""  # name of this parameter in findings, if it is another
 
     @classmethod
     def sample_parameters(cls, sampling: ParameterSampling) -> dict[str, Quantity]:
         """Return the physical parameters for a size; here, `parameter` alone."""
         return {cls.parameter: Quantity(sampling.size, cls.unit)}
+
+    @classmethod
+    def from_findings(cls, stated: StatedCause) -> tuple[CarriedCause, ...]:
+        """Return the cause for the values that findings state; here, `parameter` alone.
+
+        One result per axis where the parameters of the axes differ. No result if the base
+        parameters contain the whole effect.
+
+        Raises:
+            UsageError: a value is missing.
+        """
+        value = stated.number(cls.stated_name or cls.parameter)
+        return (CarriedCause({cls.parameter: Quantity(value, cls.unit)}),)
 
     @classmethod
     @abstractmethod
@@ -198,6 +220,12 @@ class SensorCause(Cause):
         """Return the physical parameters for a size; here, `parameter` alone, per axis."""
         return {cls.parameter: sampling.by_axis(cls.unit)}
 
+    @classmethod
+    def from_findings(cls, stated: StatedCause) -> tuple[CarriedCause, ...]:
+        """See `Cause`; here, `parameter` alone, per sensor axis."""
+        name = cls.stated_name or cls.parameter
+        return (CarriedCause({cls.parameter: stated.by_sensor_axis(name, cls.unit)}),)
+
 
 @dataclass(frozen=True, eq=False)
 class RateCause(SensorCause, ABC):
@@ -221,3 +249,11 @@ class UnitCause(Cause):
 
     part = "ptu"
     components = UNIT_AXES
+
+    @classmethod
+    def from_findings(cls, stated: StatedCause) -> tuple[CarriedCause, ...]:
+        """See `Cause`; here, `parameter` alone, for each axis of the unit."""
+        return tuple(
+            CarriedCause({cls.parameter: Quantity(value, cls.unit)}, axis)
+            for axis, value in stated.by_unit_axis(cls.stated_name or cls.parameter)
+        )

@@ -2,7 +2,12 @@
 
 import numpy as np
 
-from gyrorig_daemon.emulator.causes.cause import Cause, InjectedCause
+from gyrorig_daemon.emulator.causes.cause import (
+    CarriedCause,
+    Cause,
+    InjectedCause,
+    StatedCause,
+)
 from gyrorig_daemon.emulator.physics.effects.rig_hooks import RigHooks
 
 
@@ -18,6 +23,11 @@ class ClockOffset(Cause):
     max_size = 0.2
     parameter = "lag"
     is_signed = False
+
+    @classmethod
+    def from_findings(cls, stated: StatedCause) -> tuple[CarriedCause, ...]:
+        """See `Cause`; the time offset of a fit contains the effect."""
+        return ()
 
     @classmethod
     def apply(cls, injected: InjectedCause, hooks: RigHooks, rng: np.random.Generator) -> None:

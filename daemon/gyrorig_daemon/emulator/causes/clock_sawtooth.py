@@ -9,7 +9,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gyrorig_daemon.emulator.causes.cause import Cause, InjectedCause, ParameterSampling, Quantity
+from gyrorig_daemon.emulator.causes.cause import (
+    CarriedCause,
+    Cause,
+    InjectedCause,
+    ParameterSampling,
+    Quantity,
+    StatedCause,
+)
 from gyrorig_daemon.emulator.physics.effects.rig_hooks import RigHooks
 
 PERIODS_PER_SESSION = (1.5, 8.0)
@@ -41,6 +48,22 @@ class ClockSawtooth(Cause):
             "period": Quantity(period_s, "s"),
             "at": Quantity(sampling.event_s(), "s"),
         }
+
+    @classmethod
+    def from_findings(cls, stated: StatedCause) -> tuple[CarriedCause, ...]:
+        """See `Cause`; the mean delay of findings is 0."""
+        growth, period_s = stated.number("rate"), stated.number("period")
+        tooth_s = growth * period_s
+        return (
+            CarriedCause(
+                {
+                    "lag_growth": Quantity(growth, "1"),
+                    "period": Quantity(period_s, "s"),
+                    "at": stated.event_s(),
+                },
+                delay_s=0.5 * tooth_s + max(-tooth_s, 0.0),
+            ),
+        )
 
     @classmethod
     def apply(cls, injected: InjectedCause, hooks: RigHooks, rng: np.random.Generator) -> None:

@@ -13,7 +13,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gyrorig_daemon.emulator.causes.cause import Cause, InjectedCause, ParameterSampling, Quantity
+from gyrorig_daemon.emulator.causes.cause import (
+    CarriedCause,
+    Cause,
+    InjectedCause,
+    ParameterSampling,
+    Quantity,
+    StatedCause,
+)
 from gyrorig_daemon.emulator.physics.effects.rig_hooks import RigHooks
 
 
@@ -41,6 +48,18 @@ class ClockSkew(Cause):
             "lag_growth": Quantity(sampling.size, "1"),
             "lag_at_power_up": Quantity(start_s, "s"),
         }
+
+    @classmethod
+    def from_findings(cls, stated: StatedCause) -> tuple[CarriedCause, ...]:
+        """See `Cause`; the delay of findings is 0 at the middle of the recording."""
+        growth = stated.number("rate")
+        start_s = max(-growth, 0.0) * stated.latest_s
+        return (
+            CarriedCause(
+                {"lag_growth": Quantity(growth, "1"), "lag_at_power_up": Quantity(start_s, "s")},
+                delay_s=start_s + growth * stated.middle_s,
+            ),
+        )
 
     @classmethod
     def apply(cls, injected: InjectedCause, hooks: RigHooks, rng: np.random.Generator) -> None:

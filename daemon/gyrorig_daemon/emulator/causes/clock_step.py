@@ -4,7 +4,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gyrorig_daemon.emulator.causes.cause import Cause, InjectedCause, ParameterSampling, Quantity
+from gyrorig_daemon.emulator.causes.cause import (
+    CarriedCause,
+    Cause,
+    InjectedCause,
+    ParameterSampling,
+    Quantity,
+    StatedCause,
+)
 from gyrorig_daemon.emulator.physics.effects.rig_hooks import RigHooks
 
 
@@ -27,6 +34,17 @@ class ClockStep(Cause):
     def sample_parameters(cls, sampling: ParameterSampling) -> dict[str, Quantity]:
         """See `Cause`."""
         return {"step": Quantity(sampling.size, "s"), "at": Quantity(sampling.event_s(), "s")}
+
+    @classmethod
+    def from_findings(cls, stated: StatedCause) -> tuple[CarriedCause, ...]:
+        """See `Cause`."""
+        step_s = stated.number("step")
+        return (
+            CarriedCause(
+                {"step": Quantity(step_s, "s"), "at": stated.event_s()},
+                delay_s=max(-step_s, 0.0),  # here the samples are never early
+            ),
+        )
 
     @classmethod
     def apply(cls, injected: InjectedCause, hooks: RigHooks, rng: np.random.Generator) -> None:

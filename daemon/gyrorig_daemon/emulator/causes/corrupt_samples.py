@@ -9,7 +9,14 @@ does not detect either of them, because they occur before the frame is built.
 import numpy as np
 from numpy.typing import NDArray
 
-from gyrorig_daemon.emulator.causes.cause import Cause, InjectedCause, ParameterSampling, Quantity
+from gyrorig_daemon.emulator.causes.cause import (
+    CarriedCause,
+    Cause,
+    InjectedCause,
+    ParameterSampling,
+    Quantity,
+    StatedCause,
+)
 from gyrorig_daemon.emulator.physics.effects.rig_hooks import RigHooks
 
 IntArray = NDArray[np.int64]
@@ -44,6 +51,12 @@ class CorruptSamples(Cause):
     def sample_parameters(cls, sampling: ParameterSampling) -> dict[str, Quantity]:
         """See `Cause`."""
         return {"share": Quantity(sampling.size, "1"), "bit_flips": Quantity(_FLIPS, "1")}
+
+    @classmethod
+    def from_findings(cls, stated: StatedCause) -> tuple[CarriedCause, ...]:
+        """See `Cause`."""
+        share = Quantity(stated.number("share"), "1")
+        return (CarriedCause({"share": share, "bit_flips": Quantity(_FLIPS, "1")}),)
 
     @classmethod
     def apply(cls, injected: InjectedCause, hooks: RigHooks, rng: np.random.Generator) -> None:

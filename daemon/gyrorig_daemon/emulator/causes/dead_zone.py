@@ -6,11 +6,13 @@ import numpy as np
 
 from gyrorig_daemon.emulator.causes.cause import (
     SENSOR_AXES,
+    CarriedCause,
     FloatArray,
     InjectedCause,
     ParameterSampling,
     Quantity,
     SensorCause,
+    StatedCause,
 )
 from gyrorig_daemon.emulator.physics.effects.board_effects import MotionSamples
 from gyrorig_daemon.emulator.physics.effects.rig_hooks import RigHooks
@@ -34,6 +36,15 @@ class DeadZone(SensorCause):
     def sample_parameters(cls, sampling: ParameterSampling) -> dict[str, Quantity]:
         """See `Cause`."""
         return {"width": Quantity(sampling.size, "rad/s")}
+
+    @classmethod
+    def from_findings(cls, stated: StatedCause) -> tuple[CarriedCause, ...]:
+        """See `Cause`."""
+        return tuple(
+            CarriedCause({"width": Quantity(width_rad_s, "rad/s")}, axis)
+            for axis in SENSOR_AXES
+            if (width_rad_s := stated.number(f"threshold.{axis}", 0.0)) > 0.0
+        )
 
     @classmethod
     def apply(cls, injected: InjectedCause, hooks: RigHooks, rng: np.random.Generator) -> None:

@@ -13,11 +13,13 @@ import math
 import numpy as np
 
 from gyrorig_daemon.emulator.causes.cause import (
+    CarriedCause,
     Cause,
     FloatArray,
     InjectedCause,
     ParameterSampling,
     Quantity,
+    StatedCause,
 )
 from gyrorig_daemon.emulator.physics.effects.rig_hooks import RigHooks
 
@@ -64,6 +66,24 @@ class EarthRotation(Cause):
             "latitude": Quantity(math.radians(float(latitude_deg)), "rad"),
             "heading": Quantity(math.radians(float(heading_deg)), "rad"),
         }
+
+    @classmethod
+    def from_findings(cls, stated: StatedCause) -> tuple[CarriedCause, ...]:
+        """See `Cause`."""
+        if stated.latitude_deg is None or stated.heading_deg is None:
+            raise stated.error(
+                "the place of the rig is not known",
+                "write latitude_deg and heading_deg under `site` in the rig file",
+            )
+        return (
+            CarriedCause(
+                {
+                    "rate": Quantity(stated.number("rate"), "rad/s"),
+                    "latitude": Quantity(math.radians(stated.latitude_deg), "rad"),
+                    "heading": Quantity(math.radians(stated.heading_deg), "rad"),
+                }
+            ),
+        )
 
     @classmethod
     def apply(cls, injected: InjectedCause, hooks: RigHooks, rng: np.random.Generator) -> None:

@@ -3,12 +3,16 @@
 An eccentric gear gives the first order, an oval one the second.
 """
 
+import math
+
 import numpy as np
 
 from gyrorig_daemon.emulator.causes.cause import (
+    CarriedCause,
     InjectedCause,
     ParameterSampling,
     Quantity,
+    StatedCause,
     UnitCause,
 )
 from gyrorig_daemon.emulator.physics.effects.harmonic import Harmonic
@@ -38,6 +42,23 @@ class Eccentricity(UnitCause):
             "second": Quantity(second, "rad"),
             "second_phase": Quantity(sampling.phase_rad(), "rad"),
         }
+
+    @classmethod
+    def from_findings(cls, stated: StatedCause) -> tuple[CarriedCause, ...]:
+        """See `Cause`; findings state the second harmonic relative to the first one."""
+        oval, across = stated.number("oval", 0.0), stated.number("oval_across", 0.0)
+        carried = []
+        for axis, first, first_phase in stated.harmonics():
+            c, s = first * math.sin(first_phase), first * math.cos(first_phase)
+            cosine, sine = c * oval - s * across, c * across + s * oval
+            parameters = {
+                "first": Quantity(first, "rad"),
+                "first_phase": Quantity(first_phase, "rad"),
+                "second": Quantity(math.hypot(cosine, sine), "rad"),
+                "second_phase": Quantity(math.atan2(cosine, sine), "rad"),
+            }
+            carried.append(CarriedCause(parameters, axis))
+        return tuple(carried)
 
     @classmethod
     def apply(cls, injected: InjectedCause, hooks: RigHooks, rng: np.random.Generator) -> None:

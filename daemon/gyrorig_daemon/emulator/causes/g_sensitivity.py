@@ -9,11 +9,13 @@ import numpy as np
 
 from gyrorig_daemon.emulator.causes.cause import (
     SENSOR_AXES,
+    CarriedCause,
     FloatArray,
     InjectedCause,
     ParameterSampling,
     Quantity,
     SensorCause,
+    StatedCause,
 )
 from gyrorig_daemon.emulator.physics.effects.board_effects import MotionSamples
 from gyrorig_daemon.emulator.physics.effects.rig_hooks import RigHooks
@@ -42,6 +44,16 @@ class GSensitivity(SensorCause):
         names = [f"{output}{along}" for output in SENSOR_AXES for along in SENSOR_AXES]
         unit = "(rad/s)/(m/s^2)"
         return {n: Quantity(v, unit) for n, v in zip(names, rows.ravel().tolist(), strict=True)}
+
+    @classmethod
+    def from_findings(cls, stated: StatedCause) -> tuple[CarriedCause, ...]:
+        """See `Cause`; the force of findings is in axes of the stage."""
+        unit = "(rad/s)/(m/s^2)"
+        names = [f"{output}{along}" for output in SENSOR_AXES for along in SENSOR_AXES]
+        stage_rows = np.reshape([stated.number(f"sensitivity.{n}", 0.0) for n in names], (3, 3))
+        rows = stage_rows @ stated.on_board.mounting.T
+        values = zip(names, rows.ravel().tolist(), strict=True)
+        return (CarriedCause({name: Quantity(value, unit) for name, value in values}),)
 
     @classmethod
     def apply(cls, injected: InjectedCause, hooks: RigHooks, rng: np.random.Generator) -> None:

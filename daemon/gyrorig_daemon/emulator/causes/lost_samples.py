@@ -3,7 +3,14 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from gyrorig_daemon.emulator.causes.cause import Cause, InjectedCause
+from gyrorig_daemon.emulator.causes.cause import (
+    CarriedCause,
+    Cause,
+    InjectedCause,
+    Quantity,
+    StatedCause,
+)
+from gyrorig_daemon.emulator.causes.clock_step import ClockStep
 from gyrorig_daemon.emulator.physics.effects.rig_hooks import RigHooks
 
 _LONGEST_GAP = 3  # samples
@@ -29,8 +36,23 @@ class LostSamples(Cause):
         self._remaining = 0  # of the gap that the last block has begun
 
     @classmethod
+    def from_findings(cls, stated: StatedCause) -> tuple[CarriedCause, ...]:
+        """See `Cause`; uncounted losses make later timestamps too early, which is a clock step."""
+        if stated.has("share"):
+            return (CarriedCause({"share": Quantity(stated.number("share"), "1")}),)
+        step_s = -stated.number("count") * stated.on_board.period_s
+        return (
+            CarriedCause(
+                {"step": Quantity(step_s, "s"), "at": stated.event_s()}, delay_s=max(-step_s, 0.0)
+            ),
+        )
+
+    @classmethod
     def apply(cls, injected: InjectedCause, hooks: RigHooks, rng: np.random.Generator) -> None:
         """See `Cause`."""
+        if "step" in injected.parameters:
+            ClockStep.apply(injected, hooks, rng)
+            return
         injected.board_hooks(hooks).lost = cls(injected.number("share"), _LONGEST_GAP, rng)
 
     def draw(self, count: int) -> NDArray[np.bool_]:

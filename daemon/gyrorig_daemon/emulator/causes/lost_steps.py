@@ -11,9 +11,11 @@ from collections.abc import Sequence
 import numpy as np
 
 from gyrorig_daemon.emulator.causes.cause import (
+    CarriedCause,
     InjectedCause,
     ParameterSampling,
     Quantity,
+    StatedCause,
     UnitCause,
 )
 from gyrorig_daemon.emulator.physics.effects.rig_hooks import RigHooks
@@ -47,10 +49,24 @@ class LostSteps(UnitCause):
         }
 
     @classmethod
+    def from_findings(cls, stated: StatedCause) -> tuple[CarriedCause, ...]:
+        """See `Cause`; the shift is of the rotor against the count, at a time."""
+        at = stated.event_s()
+        return tuple(
+            CarriedCause(
+                {"shift": Quantity(-angle_rad / stated.step_rad[axis], "steps"), "at": at}, axis
+            )
+            for axis, angle_rad in stated.by_unit_axis("angle")
+        )
+
+    @classmethod
     def apply(cls, injected: InjectedCause, hooks: RigHooks, rng: np.random.Generator) -> None:
         """See `Cause`."""
         for axis in injected.axis_hooks(hooks):
-            axis.slip = cls(injected.number("steps"), injected.number("after"))
+            if "shift" in injected.parameters:
+                axis.slip = RotorShift(injected.number("shift"), injected.number("at"))
+            else:
+                axis.slip = cls(injected.number("steps"), injected.number("after"))
 
     def on_move(self, segments: Sequence[Segment]) -> tuple[float, float] | None:
         """See `axis_effects.StepLoss`."""
@@ -62,3 +78,20 @@ class LostSteps(UnitCause):
             self.happened_s = 0.5 * (first.start_s + segments[1].start_s)
         direction = math.copysign(1.0, segments[-1].steps - first.steps)
         return self.happened_s, -direction * self._steps
+
+
+class RotorShift:
+    """A shift of the rotor at a time, or at the start of the next move if no axis moves then."""
+
+    def __init__(self, shift_steps: float, at_s: float) -> None:
+        """Take the shift of the true position against the count, and the time."""
+        self._shift_steps = shift_steps
+        self._at_s = at_s
+        self.happened_s: float | None = None
+
+    def on_move(self, segments: Sequence[Segment]) -> tuple[float, float] | None:
+        """See `axis_effects.StepLoss`."""
+        if self.happened_s is not None or segments[-1].start_s <= self._at_s:
+            return None
+        self.happened_s = max(self._at_s, segments[0].start_s)
+        return self.happened_s, self._shift_steps

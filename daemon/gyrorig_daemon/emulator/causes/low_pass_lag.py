@@ -1,9 +1,18 @@
 """Low-pass lag: the cut-off frequency of the sensor's filter differs from the nominal one."""
 
+import math
+
 import numpy as np
 
-from gyrorig_daemon.emulator.causes.cause import Cause, InjectedCause
+from gyrorig_daemon.emulator.causes.cause import (
+    CarriedCause,
+    Cause,
+    InjectedCause,
+    Quantity,
+    StatedCause,
+)
 from gyrorig_daemon.emulator.physics.effects.rig_hooks import RigHooks
+from gyrorig_daemon.emulator.physics.lowpass import butterworth_delay_s
 
 
 class LowPassLag(Cause):
@@ -17,6 +26,19 @@ class LowPassLag(Cause):
     sampled_min, sampled_max = 0.1, 0.5
     max_size = 0.9
     parameter = "cutoff_change"
+
+    @classmethod
+    def from_findings(cls, stated: StatedCause) -> tuple[CarriedCause, ...]:
+        """See `Cause`; findings leave the additional delay to the time offset."""
+        log_cutoff, bandwidth_hz = stated.number("log_cutoff"), stated.on_board.bandwidth_hz
+        change = math.expm1(log_cutoff)
+        return (
+            CarriedCause(
+                {cls.parameter: Quantity(change, "1")},
+                delay_s=butterworth_delay_s(bandwidth_hz * (1.0 + change))
+                - butterworth_delay_s(bandwidth_hz),
+            ),
+        )
 
     @classmethod
     def apply(cls, injected: InjectedCause, hooks: RigHooks, rng: np.random.Generator) -> None:

@@ -16,10 +16,12 @@ from itertools import pairwise
 import numpy as np
 
 from gyrorig_daemon.emulator.causes.cause import (
+    CarriedCause,
     FloatArray,
     InjectedCause,
     ParameterSampling,
     Quantity,
+    StatedCause,
     UnitCause,
 )
 from gyrorig_daemon.emulator.physics.effects.axis_effects import Motor, StateHistory
@@ -58,6 +60,18 @@ class Ringing(UnitCause):
             "frequency": Quantity(float(sampling.rng.uniform(5.0, 15.0)), "Hz"),
             "damping": Quantity(float(sampling.rng.uniform(0.025, 0.1)), "1"),
         }
+
+    @classmethod
+    def from_findings(cls, stated: StatedCause) -> tuple[CarriedCause, ...]:
+        """See `Cause`."""
+        mode = {
+            "frequency": Quantity(stated.number("frequency"), "Hz"),
+            "damping": Quantity(stated.number("damping"), "1"),
+        }
+        return tuple(
+            CarriedCause({"share": Quantity(share, "1"), **mode}, axis)
+            for axis, share in stated.by_unit_axis("share")
+        )
 
     @classmethod
     def apply(cls, injected: InjectedCause, hooks: RigHooks, rng: np.random.Generator) -> None:

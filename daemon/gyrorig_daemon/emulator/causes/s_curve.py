@@ -6,7 +6,13 @@ This is the common way to limit jerk in a step generator. The average is compute
 
 import numpy as np
 
-from gyrorig_daemon.emulator.causes.cause import InjectedCause, UnitCause
+from gyrorig_daemon.emulator.causes.cause import (
+    CarriedCause,
+    InjectedCause,
+    Quantity,
+    StatedCause,
+    UnitCause,
+)
 from gyrorig_daemon.emulator.physics.effects.rig_hooks import RigHooks
 
 
@@ -22,6 +28,18 @@ class SCurve(UnitCause):
     parameter = "window"
     acts_on_all = True
     is_signed = False
+
+    @classmethod
+    def from_findings(cls, stated: StatedCause) -> tuple[CarriedCause, ...]:
+        """See `Cause`; the window begins with the command, findings have it about each instant."""
+        return tuple(
+            CarriedCause(
+                {cls.parameter: Quantity(window_s, cls.unit)},
+                axis,
+                start_delay_s=0.25 * window_s,  # half of the window, on one axis of two
+            )
+            for axis, window_s in stated.by_unit_axis("length")
+        )
 
     @classmethod
     def apply(cls, injected: InjectedCause, hooks: RigHooks, rng: np.random.Generator) -> None:

@@ -8,11 +8,13 @@ import math
 import numpy as np
 
 from gyrorig_daemon.emulator.causes.cause import (
+    CarriedCause,
     Cause,
     FloatArray,
     InjectedCause,
     ParameterSampling,
     Quantity,
+    StatedCause,
 )
 from gyrorig_daemon.emulator.emulator_settings import BoardSettings
 from gyrorig_daemon.emulator.physics.effects.rig_hooks import RigHooks
@@ -45,6 +47,18 @@ class SampleJitter(Cause):
         """See `Cause`."""
         mean_lag_s = 0.5 * math.sqrt(12.0) * sampling.size
         return {"rms": Quantity(sampling.size, "s"), "mean_lag": Quantity(mean_lag_s, "s")}
+
+    @classmethod
+    def from_findings(cls, stated: StatedCause) -> tuple[CarriedCause, ...]:
+        """See `Cause`; here the samples are never early, so that they are late on average."""
+        rms_s = stated.number("deviation")
+        mean_lag_s = 0.5 * math.sqrt(12.0) * rms_s
+        return (
+            CarriedCause(
+                {"rms": Quantity(rms_s, "s"), "mean_lag": Quantity(mean_lag_s, "s")},
+                delay_s=mean_lag_s,
+            ),
+        )
 
     @classmethod
     def apply(cls, injected: InjectedCause, hooks: RigHooks, rng: np.random.Generator) -> None:

@@ -4,10 +4,12 @@ import numpy as np
 
 from gyrorig_daemon.emulator.causes.cause import (
     SENSOR_AXES,
+    CarriedCause,
     InjectedCause,
     ParameterSampling,
     Quantity,
     SensorCause,
+    StatedCause,
 )
 from gyrorig_daemon.emulator.physics.effects.rig_hooks import RigHooks
 
@@ -29,6 +31,16 @@ class Saturation(SensorCause):
     def sample_parameters(cls, sampling: ParameterSampling) -> dict[str, Quantity]:
         """See `Cause`."""
         return {"limit": Quantity(sampling.size, "rad/s")}
+
+    @classmethod
+    def from_findings(cls, stated: StatedCause) -> tuple[CarriedCause, ...]:
+        """See `Cause`; the raw counts show a limit, a fit the shortfall from the full scale."""
+        full_scale_rad_s = stated.on_board.full_scale_rad_s
+        limit_rad_s = stated.number(
+            "limit", full_scale_rad_s * (1.0 - stated.number("shortfall", 0.0))
+        )
+        parameters = {"limit": Quantity(limit_rad_s, "rad/s")}
+        return tuple(CarriedCause(parameters, axis) for axis in stated.places or SENSOR_AXES)
 
     @classmethod
     def apply(cls, injected: InjectedCause, hooks: RigHooks, rng: np.random.Generator) -> None:

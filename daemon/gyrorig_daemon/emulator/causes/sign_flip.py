@@ -5,7 +5,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from gyrorig_daemon.emulator.causes.cause import SENSOR_AXES, Cause, InjectedCause
+from gyrorig_daemon.emulator.causes.cause import (
+    SENSOR_AXES,
+    CarriedCause,
+    Cause,
+    InjectedCause,
+    StatedCause,
+)
 from gyrorig_daemon.emulator.physics.effects.rig_hooks import RigHooks
 
 IntArray = NDArray[np.int64]
@@ -31,6 +37,11 @@ class SignFlip(Cause):
     is_integer = True
 
     axis: int  # index
+
+    @classmethod
+    def from_findings(cls, stated: StatedCause) -> tuple[CarriedCause, ...]:
+        """See `Cause`; the gain and the bias of a fit contain the effect."""
+        return ()
 
     @classmethod
     def apply(cls, injected: InjectedCause, hooks: RigHooks, rng: np.random.Generator) -> None:

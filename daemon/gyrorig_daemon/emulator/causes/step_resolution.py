@@ -16,6 +16,7 @@ class StepResolution(UnitCause):
     sampled_min, sampled_max = 1e-4, 1e-2
     max_size = 0.5
     parameter = "relative_error"
+    stated_name = "share"
 
     @classmethod
     def apply(cls, injected: InjectedCause, hooks: RigHooks, rng: np.random.Generator) -> None:

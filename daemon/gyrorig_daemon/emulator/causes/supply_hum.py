@@ -1,16 +1,18 @@
 """Supply hum: A sin(2 pi f t + p) at the mains frequency, folded by the sampling."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from gyrorig_daemon.emulator.causes.cause import (
+    CarriedCause,
     FloatArray,
     InjectedCause,
     ParameterSampling,
     Quantity,
     SensorCause,
+    StatedCause,
 )
 from gyrorig_daemon.emulator.physics.effects.rig_hooks import RigHooks
 from gyrorig_daemon.emulator.physics.temperature import BoardTemperature
@@ -34,6 +36,8 @@ class SupplyHum(SensorCause):
     amplitude_rad_s: FloatArray  # (3,)
     frequency_hz: float
     phase_rad: float
+    # Amplitude of the cosine, (3,); then `amplitude_rad_s` is that of the sine.
+    cosine_rad_s: FloatArray = field(default_factory=lambda: np.zeros(3))
 
     @classmethod
     def sample_parameters(cls, sampling: ParameterSampling) -> dict[str, Quantity]:
@@ -47,13 +51,37 @@ class SupplyHum(SensorCause):
         }
 
     @classmethod
+    def from_findings(cls, stated: StatedCause) -> tuple[CarriedCause, ...]:
+        """See `Cause`."""
+        frequency_hz = stated.number("frequency")
+        # Findings count the phase from the begin of the recording.
+        phase_rad = math.remainder(-2.0 * math.pi * frequency_hz * stated.begin_s, 2.0 * math.pi)
+        return (
+            CarriedCause(
+                {
+                    "amplitude": stated.by_sensor_axis("sine", "rad/s"),
+                    "frequency": Quantity(frequency_hz, "Hz"),
+                    "phase": Quantity(phase_rad, "rad"),
+                    "cosine": stated.by_sensor_axis("cosine", "rad/s"),
+                }
+            ),
+        )
+
+    @classmethod
     def apply(cls, injected: InjectedCause, hooks: RigHooks, rng: np.random.Generator) -> None:
         """See `Cause`."""
-        names = ("frequency", "phase")
-        effect = cls(injected.array("amplitude"), *(injected.number(name) for name in names))
+        effect = cls(
+            injected.array("amplitude"),
+            injected.number("frequency"),
+            injected.number("phase"),
+            injected.array_or_zeros("cosine"),
+        )
         injected.board_hooks(hooks).bias_effects.append(effect)
 
     def added_rad_s(self, time_s: FloatArray, temperature: BoardTemperature) -> FloatArray:
         """See `board_effects.BiasEffect`."""
         phase = 2.0 * math.pi * self.frequency_hz * time_s + self.phase_rad
-        return np.outer(np.sin(phase), self.amplitude_rad_s)
+        added = np.outer(np.sin(phase), self.amplitude_rad_s)
+        return (
+            added + np.outer(np.cos(phase), self.cosine_rad_s) if self.cosine_rad_s.any() else added
+        )

@@ -5,7 +5,14 @@ The centre of mass of the payload is above the tilt axis, up to 45 deg fore or a
 
 import numpy as np
 
-from gyrorig_daemon.emulator.causes.cause import Cause, InjectedCause, ParameterSampling, Quantity
+from gyrorig_daemon.emulator.causes.cause import (
+    CarriedCause,
+    Cause,
+    InjectedCause,
+    ParameterSampling,
+    Quantity,
+    StatedCause,
+)
 from gyrorig_daemon.emulator.physics.effects.harmonic import Harmonic
 from gyrorig_daemon.emulator.physics.effects.rig_hooks import RigHooks
 
@@ -29,6 +36,16 @@ class TiltSag(Cause):
         """See `Cause`."""
         phase = float(sampling.rng.uniform(-0.5, 0.5)) * _QUARTER_TURN
         return {"amplitude": Quantity(sampling.size, "rad"), "phase": Quantity(phase, "rad")}
+
+    @classmethod
+    def from_findings(cls, stated: StatedCause) -> tuple[CarriedCause, ...]:
+        """See `Cause`."""
+        return tuple(
+            CarriedCause(
+                {"amplitude": Quantity(amplitude, "rad"), "phase": Quantity(phase, "rad")}, axis
+            )
+            for axis, amplitude, phase in stated.harmonics()
+        )
 
     @classmethod
     def apply(cls, injected: InjectedCause, hooks: RigHooks, rng: np.random.Generator) -> None:

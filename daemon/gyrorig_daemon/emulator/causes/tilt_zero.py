@@ -4,7 +4,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gyrorig_daemon.emulator.causes.cause import Cause, FloatArray, InjectedCause
+from gyrorig_daemon.emulator.causes.cause import (
+    CarriedCause,
+    Cause,
+    FloatArray,
+    InjectedCause,
+    Quantity,
+    StatedCause,
+)
 from gyrorig_daemon.emulator.physics.effects.axis_effects import Motor
 from gyrorig_daemon.emulator.physics.effects.rig_hooks import RigHooks
 
@@ -24,6 +31,18 @@ class TiltZero(Cause):
     components = ("tilt",)
 
     angle_rad: float
+
+    @classmethod
+    def from_findings(cls, stated: StatedCause) -> tuple[CarriedCause, ...]:
+        """See `Cause`; in the base model, a tilt zero is a rotation of the misalignment."""
+        angle_rad = stated.number("angle")
+        return (
+            CarriedCause(
+                {cls.parameter: Quantity(angle_rad, cls.unit)},
+                "tilt",
+                stage_turn_rad=np.array([-angle_rad, 0.0, 0.0]),
+            ),
+        )
 
     @classmethod
     def apply(cls, injected: InjectedCause, hooks: RigHooks, rng: np.random.Generator) -> None:

@@ -5,11 +5,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from gyrorig_daemon.emulator.causes.cause import (
+    CarriedCause,
     FloatArray,
     InjectedCause,
     ParameterSampling,
     Quantity,
     SensorCause,
+    StatedCause,
 )
 from gyrorig_daemon.emulator.physics.effects.rig_hooks import RigHooks
 from gyrorig_daemon.emulator.physics.temperature import BoardTemperature
@@ -28,6 +30,7 @@ class WarmUp(SensorCause):
 
     start_rad_s: FloatArray  # (3,)
     time_constant_s: float
+    begin_s: float = 0.0  # since power-up; the bias is constant before
 
     @classmethod
     def sample_parameters(cls, sampling: ParameterSampling) -> dict[str, Quantity]:
@@ -37,11 +40,29 @@ class WarmUp(SensorCause):
         return {"at_power_up": start, "time_constant": Quantity(time_constant_s, "s")}
 
     @classmethod
+    def from_findings(cls, stated: StatedCause) -> tuple[CarriedCause, ...]:
+        """See `Cause`; findings state the bias at the begin of the recording."""
+        return (
+            CarriedCause(
+                {
+                    "at_power_up": stated.by_sensor_axis("begin", "rad/s"),
+                    "time_constant": Quantity(stated.number("time_constant"), "s"),
+                    "begin": Quantity(stated.begin_s, "s"),
+                }
+            ),
+        )
+
+    @classmethod
     def apply(cls, injected: InjectedCause, hooks: RigHooks, rng: np.random.Generator) -> None:
         """See `Cause`."""
-        effect = cls(injected.array("at_power_up"), injected.number("time_constant"))
+        effect = cls(
+            injected.array("at_power_up"),
+            injected.number("time_constant"),
+            injected.number_or("begin", 0.0),
+        )
         injected.board_hooks(hooks).bias_effects.append(effect)
 
     def added_rad_s(self, time_s: FloatArray, temperature: BoardTemperature) -> FloatArray:
         """See `board_effects.BiasEffect`."""
-        return np.outer(np.exp(-time_s / self.time_constant_s), self.start_rad_s)
+        elapsed_s = np.maximum(time_s - self.begin_s, 0.0) if self.begin_s else time_s
+        return np.outer(np.exp(-elapsed_s / self.time_constant_s), self.start_rad_s)

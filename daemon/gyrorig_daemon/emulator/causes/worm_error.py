@@ -3,12 +3,16 @@
 The worm of a PTU-E46-17.5 makes 17.5 turns per turn of the axis.
 """
 
+import math
+
 import numpy as np
 
 from gyrorig_daemon.emulator.causes.cause import (
+    CarriedCause,
     InjectedCause,
     ParameterSampling,
     Quantity,
+    StatedCause,
     UnitCause,
 )
 from gyrorig_daemon.emulator.physics.effects.harmonic import Harmonic
@@ -37,8 +41,25 @@ class WormError(UnitCause):
         }
 
     @classmethod
+    def from_findings(cls, stated: StatedCause) -> tuple[CarriedCause, ...]:
+        """See `Cause`."""
+        turns = 2.0 * math.pi / stated.number("period", 2.0 * math.pi / WORM_TURNS)
+        return tuple(
+            CarriedCause(
+                {
+                    "amplitude": Quantity(amplitude, "rad"),
+                    "phase": Quantity(phase, "rad"),
+                    "turns": Quantity(turns, "1"),
+                },
+                axis,
+            )
+            for axis, amplitude, phase in stated.harmonics()
+        )
+
+    @classmethod
     def apply(cls, injected: InjectedCause, hooks: RigHooks, rng: np.random.Generator) -> None:
         """See `Cause`."""
-        harmonic = Harmonic(injected.number("amplitude"), WORM_TURNS, injected.number("phase"))
+        turns = injected.number_or("turns", WORM_TURNS)
+        harmonic = Harmonic(injected.number("amplitude"), turns, injected.number("phase"))
         for axis in injected.axis_hooks(hooks):
             axis.angle_effects.append(harmonic)

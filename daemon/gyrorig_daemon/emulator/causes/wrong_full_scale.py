@@ -5,7 +5,12 @@ The L3G4200D has the ranges 250, 500 and 2000 deg/s.
 
 import numpy as np
 
-from gyrorig_daemon.emulator.causes.cause import Cause, InjectedCause
+from gyrorig_daemon.emulator.causes.cause import (
+    CarriedCause,
+    Cause,
+    InjectedCause,
+    StatedCause,
+)
 from gyrorig_daemon.emulator.physics.effects.rig_hooks import RigHooks
 
 
@@ -24,6 +29,11 @@ class WrongFullScale(Cause):
     is_signed = False
     allowed_sizes = (0.5, 2.0)
     neutral_size = 1.0
+
+    @classmethod
+    def from_findings(cls, stated: StatedCause) -> tuple[CarriedCause, ...]:
+        """See `Cause`; the gain and the bias of a fit contain the effect."""
+        return ()
 
     @classmethod
     def apply(cls, injected: InjectedCause, hooks: RigHooks, rng: np.random.Generator) -> None:

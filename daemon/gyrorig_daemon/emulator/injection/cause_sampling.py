@@ -49,12 +49,21 @@ def sample_injected_causes(settings: RigSettings) -> tuple[InjectedCause, ...]:
     return injected
 
 
-def apply_causes(injected: Sequence[InjectedCause], seed: int) -> RigHooks:
-    """Return the hooks of a rig with these causes."""
+def apply_causes(
+    injected: Sequence[InjectedCause], seed: int, session_seed: int | None = None
+) -> RigHooks:
+    """Return the hooks of a rig with these causes.
+
+    Args:
+        injected: the causes.
+        seed: of the rig.
+        session_seed: of effects that are random at run time; None: they follow from `seed`.
+    """
+    session = () if session_seed is None else (session_seed,)
     hooks = RigHooks()
     for cause in injected:
         key = _stream_key(cause.cause, cause.component, cause.board or "")
-        rng = np.random.default_rng([seed, _CAUSES_STREAM, _RUN_TIME, key])
+        rng = np.random.default_rng([seed, _CAUSES_STREAM, _RUN_TIME, key, *session])
         CAUSES[cause.cause].apply(cause, hooks, rng)
     return hooks
 

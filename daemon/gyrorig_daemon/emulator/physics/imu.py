@@ -20,7 +20,7 @@ from gyrorig_daemon.emulator.physics.effects.board_effects import MotionSamples
 from gyrorig_daemon.emulator.physics.effects.rig_hooks import BoardHooks
 from gyrorig_daemon.emulator.physics.lowpass import block_filter
 from gyrorig_daemon.emulator.physics.stage_motion import Stage, StageMotion
-from gyrorig_daemon.emulator.physics.temperature import BoardTemperature
+from gyrorig_daemon.emulator.physics.temperature import BoardTemperature, TemperatureCurve
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -54,6 +54,7 @@ class ImuTruth:
     warm_up_s: float
     soak_k: float = 0.0  # see `temperature`
     soak_s: tuple[float, float] = (0.0, 120.0)
+    temperature_curve: TemperatureCurve | None = None
 
     def without_noise(self) -> "ImuTruth":
         """Return the same sensor without noise and bias wander."""
@@ -146,6 +147,7 @@ class ImuModel:
             start_s,
             truth.soak_k,
             truth.soak_s,
+            truth.temperature_curve,
         )
         self._noise_rng, self._wander_rng, self._accel_rng = rng.spawn(3)
         self._sigma = white_step_sigma(truth.noise_density_rad_s_rthz, self._dt_s)

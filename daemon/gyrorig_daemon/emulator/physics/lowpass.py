@@ -15,6 +15,11 @@ from numpy.typing import NDArray
 FloatArray = NDArray[np.float64]
 
 
+def butterworth_delay_s(cutoff_hz: float) -> float:
+    """Return the group delay at zero frequency, sqrt(2) / w."""
+    return math.sqrt(2.0) / (2.0 * math.pi * cutoff_hz)
+
+
 def butterworth_step(cutoff_hz: float, period_s: float) -> tuple[FloatArray, FloatArray]:
     """Return (Ad, Bd) of H(s) = w^2 / (s^2 + sqrt(2) w s + w^2) under a constant input.
 

@@ -4,7 +4,7 @@ import msgspec
 
 from gyrorig_daemon.emulator.board.emulated_protocol import EmulatedProtocol
 from gyrorig_daemon.emulator.emulator_settings import BoardSettings
-from gyrorig_daemon.emulator.rig_truth import DEG, GYRO_MDPS_PER_COUNT
+from gyrorig_daemon.emulator.rig_truth import DEG, mdps_per_count
 from gyrorig_protocol.board import BoardFrame, Sample
 from gyrorig_protocol.board_protocols.json_lines import JsonOptions
 
@@ -25,7 +25,7 @@ class EmulatedJson(EmulatedProtocol):
         factor = _GYRO_PER_MDPS.get(options.gyro_unit)
         gyro: list[float] = list(frame.gyro)
         if factor is not None:
-            gyro = [n * GYRO_MDPS_PER_COUNT[settings.full_scale_dps] * factor for n in gyro]
+            gyro = [n * mdps_per_count(settings) * factor for n in gyro]
         values = {
             options.time_key: (frame.device_time or 0) * _TIME_PER_US[options.time_unit],
             options.sequence_key: frame.sequence,

@@ -10,7 +10,7 @@ from gyrorig_daemon.emulator.board.emulated_can_board import EmulatedCanBoard
 from gyrorig_daemon.emulator.board.sample_encoder import SampleEncoder
 from gyrorig_daemon.emulator.emulator_settings import BoardSettings
 from gyrorig_daemon.emulator.physics.imu import ImuTruth, SampleBlock
-from gyrorig_daemon.emulator.rig_truth import ACCEL_COUNTS_PER_G, DEG, GYRO_MDPS_PER_COUNT
+from gyrorig_daemon.emulator.rig_truth import ACCEL_COUNTS_PER_G, DEG, mdps_per_count
 from gyrorig_protocol.can import (
     CanFrame,
     FrameFlag,
@@ -37,7 +37,7 @@ class SignalEncoder(SampleEncoder):
         self._map = signal_map
         rate_keys = {signal.key for signal in signal_map.gyro if signal is not None}
         self._keys = sorted(signal_map.needed_bytes, key=lambda key: key in rate_keys)
-        self._gyro_rad_s = GYRO_MDPS_PER_COUNT[settings.full_scale_dps] * 1e-3 * DEG
+        self._gyro_rad_s = mdps_per_count(settings) * 1e-3 * DEG
 
     def encode(
         self, block: SampleBlock, first: int, count: int, sequence: int, stamp: int

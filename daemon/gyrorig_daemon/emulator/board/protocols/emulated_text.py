@@ -2,7 +2,7 @@
 
 from gyrorig_daemon.emulator.board.emulated_protocol import EmulatedProtocol
 from gyrorig_daemon.emulator.emulator_settings import BoardSettings
-from gyrorig_daemon.emulator.rig_truth import ACCEL_COUNTS_PER_G, DEG, GYRO_MDPS_PER_COUNT
+from gyrorig_daemon.emulator.rig_truth import ACCEL_COUNTS_PER_G, DEG, mdps_per_count
 from gyrorig_protocol.board import BoardFrame, ColumnMap, Sample
 
 _GYRO_PER_MDPS = {"dps": 1e-3, "mdps": 1.0, "rad/s": 1e-3 * DEG}
@@ -35,7 +35,7 @@ PROTOCOL = EmulatedText()
 def _columns_line(sample: Sample, settings: BoardSettings, columns: ColumnMap) -> bytes:
     """Return a line in the columns of a rig file; other columns contain 0."""
     fields = ["0"] * (columns.columns or columns.min_columns)
-    per_count = GYRO_MDPS_PER_COUNT[settings.full_scale_dps]
+    per_count = mdps_per_count(settings)
     gyro_factor = _GYRO_PER_MDPS.get(columns.gyro_unit)
     for column, count in zip(columns.gyro, sample.gyro, strict=True):
         physical = None if gyro_factor is None else count * per_count * gyro_factor

@@ -1,0 +1,212 @@
+"""Settings and true parameters of the devices of a twin, without its causes."""
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gyrorig_daemon.emulator.emulator_settings import BoardSettings, PtuSettings
+from gyrorig_daemon.emulator.physics.device_clock import ClockTruth
+from gyrorig_daemon.emulator.physics.host_latency import LatencyTruth
+from gyrorig_daemon.emulator.physics.imu import ImuTruth
+from gyrorig_daemon.emulator.physics.lowpass import butterworth_delay_s
+from gyrorig_daemon.emulator.physics.rotation import rotation_matrix
+from gyrorig_daemon.emulator.physics.temperature import BoardTemperature, TemperatureCurve
+from gyrorig_daemon.emulator.rig_truth import DEG, GYRO_MDPS_PER_COUNT, BoardTruth
+from gyrorig_protocol.twin import (
+    Scalar,
+    TwinBoard,
+    TwinClock,
+    TwinLink,
+    TwinUnit,
+    UnitFacts,
+    Vector,
+)
+
+FloatArray = NDArray[np.float64]
+
+# The middle of what a rig samples, for what a twin does not state; see `rig_truth`.
+_NOISE_DENSITY_RAD_S_RTHZ = 0.03 * DEG
+_BIAS_INSTABILITY_RAD_S = 30.0 * DEG / 3600.0
+_RATE_RANDOM_WALK = 0.3e-3 * DEG
+_WANDER_PER_RTS = 1e-8
+_AMBIENT_DEGC, _SELF_HEATING_K, _WARM_UP_S = 23.0, 2.5, 300.0
+_FULL_STEP_RATIO = 2.0  # full steps over steps, in the mode H
+_COUNTS_OF_FULL_SCALE = 32768.0
+
+
+def _number(quantity: Scalar | None, default: float) -> float:
+    return default if quantity is None else quantity.value
+
+
+def _array(quantity: Vector | None, default: float) -> FloatArray:
+    return np.full(3, default) if quantity is None else np.array(quantity.value)
+
+
+def unit_settings(unit: TwinUnit | None, ptu: PtuSettings) -> PtuSettings:
+    """Return the settings of a unit with what the twin states of it."""
+    if unit is None:
+        return ptu
+    answer_s = max(_number(unit.answer_time, ptu.command_time_ms * 1e-3), 1e-6)
+    start_s = _number(unit.start_delay, answer_s * ptu.sample_fraction)
+    facts = {
+        name: value
+        for name in UnitFacts.__struct_fields__
+        if (value := getattr(unit.facts, name)) is not None
+    }
+    resolution_arcsec = facts.pop("resolution_arcsec", None)
+    if resolution_arcsec is not None:
+        facts |= {"step_mode": "H", "full_step_arcsec": _FULL_STEP_RATIO * resolution_arcsec}
+    return replace(
+        ptu,
+        command_time_ms=answer_s * 1e3,
+        sample_fraction=min(max(start_s / answer_s, 0.0), 1.0),
+        **facts,
+    )
+
+
+def starting_earlier(ptu: PtuSettings, start_delay_s: float) -> PtuSettings:
+    """Return a unit whose moves start earlier after a command."""
+    answer_s = ptu.command_time_ms * 1e-3
+    fraction = ptu.sample_fraction - start_delay_s / answer_s
+    return replace(ptu, sample_fraction=max(fraction, 0.0))
+
+
+def board_settings(board: TwinBoard, settings: BoardSettings) -> BoardSettings:
+    """Return the settings of a board with what the twin states of it."""
+    settings = replace(settings, bandwidth_hz=_number(board.bandwidth, settings.bandwidth_hz))
+    if board.full_scale is not None:
+        settings = replace(settings, full_scale_dps=round(board.full_scale.value / DEG, 6))
+    if board.count is not None:
+        # HELLO has six decimals of deg/s per count.
+        settings = replace(settings, count_mdps=round(board.count.value / DEG, 6) * 1e3)
+    elif settings.full_scale_dps not in GYRO_MDPS_PER_COUNT:
+        settings = replace(
+            settings, count_mdps=round(settings.full_scale_dps / _COUNTS_OF_FULL_SCALE, 6) * 1e3
+        )
+    return settings
+
+
+def base_truth(
+    board: TwinBoard, settings: BoardSettings, sampled: BoardTruth, zero_s: float
+) -> BoardTruth:
+    """Return the truth of a board without causes; its delay follows later.
+
+    Args:
+        board: what the twin states.
+        settings: of the board, as `board_settings` returns them.
+        sampled: start of its clock, and values that no twin states.
+        zero_s: the zero of the twin's times, since power-up.
+    """
+    gain = np.array(board.gain.value)
+    imu: ImuTruth = replace(
+        sampled.imu,
+        odr_hz=_number(board.odr, settings.odr_hz),
+        bandwidth_hz=settings.bandwidth_hz,
+        bias_rad_s=np.array(board.bias.value),
+        noise_density_rad_s_rthz=_array(board.noise_density, _NOISE_DENSITY_RAD_S_RTHZ),
+        bias_instability_rad_s=_array(board.bias_instability, _BIAS_INSTABILITY_RAD_S),
+        rate_random_walk=_array(board.rate_random_walk, _RATE_RANDOM_WALK),
+        accel_gain=np.ones(3),
+        accel_bias_m_s2=np.zeros(3),
+        ambient_degc=_AMBIENT_DEGC,
+        self_heating_k=_SELF_HEATING_K,
+        warm_up_s=_WARM_UP_S,
+        temperature_curve=_temperature_curve(board, zero_s),
+    )
+    return _with_gain(
+        BoardTruth(
+            imu=imu,
+            scale=np.eye(3),
+            nonorthogonality=np.eye(3),
+            clock=clock_truth(board.clock, sampled.clock),
+            stamp_jitter_s=max(_number(board.stamp_jitter, sampled.stamp_jitter_s), 0.0),
+        ),
+        gain,
+    )
+
+
+def reference_rise_k(board: TwinBoard, imu: ImuTruth, session_s: tuple[float, float]) -> float:
+    """Return the reference temperature of thermal causes minus that at power-up.
+
+    Args:
+        board: what the twin states.
+        imu: the truth of the board.
+        session_s: begin and end of the session, since power-up.
+    """
+    model = BoardTemperature(
+        imu.ambient_degc, imu.self_heating_k, imu.warm_up_s, 0.0, curve=imu.temperature_curve
+    )
+    stated = None if board.temperature is None else board.temperature.reference_degc
+    if stated is None:
+        stated = float(model.degc(np.linspace(*session_s, 201)).mean())
+    return stated - model.power_up_degc
+
+
+def _temperature_curve(board: TwinBoard, zero_s: float) -> TemperatureCurve | None:
+    if board.temperature is None:
+        return None
+    times_s = tuple(zero_s + time_s for time_s in board.temperature.time_s)
+    return TemperatureCurve(times_s, tuple(board.temperature.degc))
+
+
+def _with_gain(board: BoardTruth, gain: FloatArray) -> BoardTruth:
+    """Return a board with another gain, with its factors S, T and a rotation M.
+
+    A mirrored gain has a negative scale on the axis for which M is nearest to the identity.
+    """
+    q, r = np.linalg.qr(gain.T)
+    signs = np.sign(np.diagonal(r))
+    lower, mounting = r.T * signs, signs[:, None] * q.T
+    if np.linalg.det(mounting) < 0.0:
+        flip = np.ones(3)
+        flip[int(np.argmin(np.diagonal(mounting)))] = -1.0
+        lower, mounting = lower * flip, flip[:, None] * mounting
+    scale = np.diagonal(lower)
+    return replace(
+        board,
+        imu=replace(board.imu, gain=gain, mounting=mounting),
+        scale=np.diag(scale),
+        nonorthogonality=lower / scale[:, None],
+    )
+
+
+def without_turn(board: BoardTruth, turn_rad: FloatArray) -> BoardTruth:
+    """Return a board whose fitted gain contains a rotation of the stage, without it."""
+    return _with_gain(board, board.imu.gain @ rotation_matrix(turn_rad).T)
+
+
+def with_delay(board: BoardTruth, delay_s: float) -> BoardTruth:
+    """Return a board with a total delay, with that of the low-pass.
+
+    Samples cannot be earlier than the motion, therefore early ones have early timestamps.
+    """
+    tau_s = delay_s - butterworth_delay_s(board.imu.bandwidth_hz)
+    return replace(
+        board,
+        imu=replace(board.imu, tau_s=max(tau_s, 0.0)),
+        stamp_early_s=max(-tau_s, 0.0),
+    )
+
+
+def clock_truth(clock: TwinClock | None, sampled: ClockTruth) -> ClockTruth:
+    """Return the truth of a clock; `sampled` has its start."""
+    if clock is None:
+        return replace(sampled, skew=0.0, wander_per_rts=_WANDER_PER_RTS)
+    return replace(
+        sampled,
+        tick_hz=clock.tick_hz or sampled.tick_hz,
+        skew=_number(clock.skew, 0.0),
+        wander_per_rts=max(_number(clock.wander, _WANDER_PER_RTS), 0.0),
+    )
+
+
+def latency_truth(link: TwinLink) -> LatencyTruth:
+    """Return the latency of the host."""
+    values = {
+        f"{name}_s": max(quantity.value, 0.0)
+        for name in TwinLink.__struct_fields__
+        if (quantity := getattr(link, name)) is not None
+    }
+    latency = replace(LatencyTruth(), **values)
+    return replace(latency, stall_longest_s=max(latency.stall_longest_s, latency.stall_shortest_s))

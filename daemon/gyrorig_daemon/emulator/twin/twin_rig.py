@@ -1,0 +1,215 @@
+"""Settings and true parameters of the rig that a twin describes.
+
+The base parameters of a fit contain what the base model absorbs of each cause. The cause states
+this part (`CarriedCause`), and it is taken out of the base parameters here.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from gyrorig_daemon.emulator.emulator_settings import PtuSettings, RigSettings
+from gyrorig_daemon.emulator.injection import (
+    CAUSES,
+    InjectedCause,
+    apply_causes,
+    sample_injected_causes,
+)
+from gyrorig_daemon.emulator.physics.stepper_axis import ARCSEC_RAD
+from gyrorig_daemon.emulator.rig_truth import BoardTruth, RigTruth, sample_rig_truth
+from gyrorig_daemon.emulator.stated_cause import (
+    CarriedCause,
+    Quantity,
+    StatedBoard,
+    StatedCause,
+)
+from gyrorig_daemon.emulator.twin.twin_devices import (
+    base_truth,
+    board_settings,
+    clock_truth,
+    latency_truth,
+    reference_rise_k,
+    starting_earlier,
+    unit_settings,
+    with_delay,
+    without_turn,
+)
+from gyrorig_protocol.errors import UsageError
+from gyrorig_protocol.suggestions import did_you_mean
+from gyrorig_protocol.twin import Twin, TwinBoard, TwinCause, TwinRecording
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TwinRig:
+    """What `EmulatedRig` needs, and what the emulator does not have of a twin."""
+
+    settings: RigSettings
+    plain: RigTruth  # without causes
+    truth: RigTruth
+    notes: tuple[str, ...]  # causes of the twin that the emulated rig does not have, with reasons
+
+
+def make_twin_rig(twin: Twin, settings: RigSettings, recording: str | None = None) -> TwinRig:
+    """Return the rig that a twin describes.
+
+    Args:
+        twin: the section of the rig file.
+        settings: of the rest of the file. The begin of `session_s` is the time since power-up at
+            which the first sample of the recording is, and its injections are added.
+        recording: whose single events happen; None: those of the first one.
+
+    Raises:
+        UsageError: the twin has no board of the rig, or a cause cannot be used.
+    """
+    boards = {board.name: _find_board(twin, board.name) for board in settings.boards}
+    settings = replace(
+        settings,
+        ptu=None if settings.ptu is None else unit_settings(twin.unit, settings.ptu),
+        boards=tuple(board_settings(boards[board.name], board) for board in settings.boards),
+    )
+    played = next((r for r in twin.recordings if r.name == recording), twin.recordings[0])
+    sampled = sample_rig_truth(replace(settings, injections=()))
+    begin_s = settings.session_s[0]
+    plain_boards = {
+        board.name: base_truth(
+            boards[board.name],
+            board,
+            sampled.boards[board.name],
+            begin_s - twin.recordings[0].begin_s,
+        )
+        for board in settings.boards
+    }
+    places = _Places(settings, played, boards, plain_boards)
+    carried: list[tuple[InjectedCause, CarriedCause]] = []
+    notes: list[str] = []
+    for cause in twin.causes:
+        if cause.recording not in (None, played.name):
+            continue
+        reason = places.reason_not_carried(cause)
+        if reason is not None:
+            notes.append(f"the emulated rig does not have the cause {cause.cause}, {reason}")
+            continue
+        board_id = places.board_of(cause)
+        kind = CAUSES[cause.cause]
+        for part in kind.from_findings(places.stated(cause, board_id)):
+            carried.append((_injected(cause.cause, board_id, part), part))
+    delays_s = {
+        name: sum(part.delay_s for cause, part in carried if cause.board == name) for name in boards
+    }
+    for _, part in carried:
+        if part.stage_turn_rad.any():
+            plain_boards = {
+                name: without_turn(board, part.stage_turn_rad)
+                for name, board in plain_boards.items()
+            }
+    if settings.ptu is not None:
+        start_delay_s = sum(part.start_delay_s for _, part in carried)
+        settings = replace(settings, ptu=starting_earlier(settings.ptu, start_delay_s))
+    unit_clock = None if twin.unit is None else twin.unit.counter
+    plain = replace(
+        sampled,
+        controller_clock=clock_truth(unit_clock, sampled.controller_clock),
+        latency=latency_truth(twin.link),
+        boards={
+            name: with_delay(board, boards[name].time_offset.value - delays_s[name])
+            for name, board in plain_boards.items()
+        },
+    )
+    injected = (*(cause for cause, _ in carried), *sample_injected_causes(settings))
+    hooks = apply_causes(injected, settings.seed, settings.session_seed)
+    truth = replace(plain, injected=injected).with_hooks(hooks)
+    return TwinRig(settings, plain, truth, tuple(notes))
+
+
+def _find_board(twin: Twin, name: str) -> TwinBoard:
+    if name not in twin.boards:
+        hint = did_you_mean(name, twin.boards)
+        raise UsageError(
+            f"the twin in the rig file has no board {name}",
+            hint or f"name the boards of the rig as those of the twin: {', '.join(twin.boards)}",
+        )
+    return twin.boards[name]
+
+
+def _injected(name: str, board: str | None, carried: CarriedCause) -> InjectedCause:
+    kind = CAUSES[name]
+    first = next(iter(carried.parameters.values()))
+    size = float(np.abs(first.array).max())
+    return InjectedCause(
+        cause=name,
+        part=kind.part,
+        component=carried.component or ",".join(kind.components) or "all",
+        board=board,
+        size=Quantity(size, kind.unit),
+        parameters=carried.parameters,
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Places:
+    """The devices on which the causes of a twin act."""
+
+    settings: RigSettings
+    recording: TwinRecording
+    twin_boards: Mapping[str, TwinBoard]
+    truths: Mapping[str, BoardTruth]
+
+    def reason_not_carried(self, cause: TwinCause) -> str | None:
+        """Return why the emulated rig cannot have a cause, None if it can."""
+        kind = CAUSES.get(cause.cause)
+        if kind is None or set(cause.parameters) == {"count"}:
+            return "because it cannot emulate it"
+        if kind.part == "ptu" and self.settings.ptu is None:
+            return "because its unit is not emulated"
+        if kind.is_on_board() and cause.board is not None and cause.board not in self.truths:
+            return f"because the board {cause.board} is not emulated"
+        return None
+
+    def board_of(self, cause: TwinCause) -> str | None:
+        """Return the board on which a cause acts, None for one of the unit.
+
+        Raises:
+            UsageError: it is not stated, and there are several.
+        """
+        if not CAUSES[cause.cause].is_on_board():
+            return None
+        if cause.board is None and len(self.truths) != 1:
+            raise UsageError(
+                f"the cause {cause.cause} of the twin has no board",
+                "write the id of its board under `board`",
+            )
+        return cause.board or next(iter(self.truths))
+
+    def stated(self, cause: TwinCause, board_id: str | None) -> StatedCause:
+        """Return a cause with its times since power-up."""
+        settings, recording = self.settings, self.recording
+        zero_s = settings.session_s[0] - recording.begin_s
+        unit = settings.ptu or PtuSettings()
+        step_rad = unit.resolution_arcsec * ARCSEC_RAD
+        return StatedCause(
+            name=cause.cause,
+            places=() if cause.where == "all" else tuple(cause.where.replace(",", " ").split()),
+            values={name: scalar.value for name, scalar in cause.parameters.items()},
+            zero_s=zero_s,
+            begin_s=settings.session_s[0],
+            end_s=zero_s + recording.end_s,
+            step_rad={"pan": unit.pan_sign * step_rad, "tilt": unit.tilt_sign * step_rad},
+            latitude_deg=settings.latitude_deg,
+            heading_deg=settings.heading_deg,
+            board=None if board_id is None else self._stated_board(board_id),
+        )
+
+    def _stated_board(self, board_id: str) -> StatedBoard:
+        imu = self.truths[board_id].imu
+        begin_s = self.settings.session_s[0]
+        length_s = self.recording.end_s - self.recording.begin_s
+        return StatedBoard(
+            mounting=imu.mounting,
+            full_scale_rad_s=imu.gyro_limit_rad_s,
+            period_s=1.0 / imu.odr_hz,
+            bandwidth_hz=imu.bandwidth_hz,
+            reference_rise_k=reference_rise_k(
+                self.twin_boards[board_id], imu, (begin_s, begin_s + length_s)
+            ),
+        )

@@ -1,0 +1,187 @@
+"""A rig of a twin: devices, draws, and what it does not have."""
+
+import math
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+from tests.support.stated_causes import BEGIN_S, END_S, stated_twin
+
+from gyrorig_daemon.config import parse_rig
+from gyrorig_daemon.emulator.emulated_rig import EmulatedRig
+from gyrorig_daemon.emulator.emulator_settings import BoardSettings, PtuSettings, RigSettings
+from gyrorig_daemon.emulator.injection import parse_injection
+from gyrorig_daemon.emulator.twin import draw_twin, make_twin_rig
+from gyrorig_protocol.documents import dump_yaml
+from gyrorig_protocol.errors import UsageError
+from gyrorig_protocol.twin import Twin, twin_to_plain
+
+ROOT = Path(__file__).resolve().parents[3]
+SETTINGS = RigSettings(seed=9, session_s=(BEGIN_S, END_S))
+
+
+def plain_twin(*hide: str) -> dict[str, Any]:
+    """Return a twin as plain values."""
+    injections = tuple(parse_injection(text) for text in hide)
+    settings = RigSettings(seed=5, injections=injections, session_s=(BEGIN_S, END_S))
+    return twin_to_plain(stated_twin(EmulatedRig(settings, 0)))
+
+
+def quantity(value: float, std: float | None = None, unit: str = "s") -> dict[str, Any]:
+    """Return a plain number of a twin."""
+    return {"value": value, "std": std, "unit": unit}
+
+
+def twin_of(plain: dict[str, Any]) -> Twin:
+    """Return a twin from plain values."""
+    return msgspec.convert(plain, Twin)
+
+
+def test_devices_are_those_of_the_twin() -> None:
+    plain = plain_twin()
+    plain["unit"] = {
+        "answer_time": quantity(8e-3),
+        "start_delay": quantity(2e-3),
+        "counter": {"skew": quantity(3e-5), "tick_hz": 1e6},
+        "facts": {"resolution_arcsec": 92.571, "pan_max_steps": 6180, "serial": "X1"},
+    }
+    plain["link"] = {"jitter": quantity(7e-4), "stall_interval": quantity(0.0)}
+    board = plain["boards"]["GY80-1"]
+    board["full_scale"] = quantity(math.radians(1000.0), None, "rad/s")
+    board["clock"] = {"skew": quantity(-2e-5, None, "1"), "tick_hz": 1e6}
+    made = make_twin_rig(twin_of(plain), SETTINGS)
+    unit = made.settings.ptu
+    assert unit is not None
+    assert (unit.command_time_ms, unit.sample_fraction) == (8.0, 0.25)
+    assert unit.resolution_arcsec == pytest.approx(92.571)
+    assert (unit.pan_max_steps, unit.serial) == (6180, "X1")
+    assert made.truth.controller_clock.skew == 3e-5
+    assert (made.truth.latency.jitter_s, made.truth.latency.stall_interval_s) == (7e-4, 0.0)
+    assert made.truth.latency.floor_s == 60e-6  # as always
+    imu = made.truth.boards["GY80-1"].imu
+    assert made.settings.boards[0].full_scale_dps == 1000.0
+    assert imu.gyro_limit_rad_s == pytest.approx(math.radians(1000.0))
+    assert imu.gyro_scale_rad_s == pytest.approx(math.radians(1000.0) / 32768.0, rel=1e-4)
+    assert made.truth.boards["GY80-1"].clock.skew == -2e-5
+    assert np.linalg.det(imu.mounting) == pytest.approx(1.0)
+    factors = made.truth.boards["GY80-1"]
+    product = factors.scale @ factors.nonorthogonality @ imu.mounting
+    assert product == pytest.approx(np.array(board["gain"]["value"]), abs=1e-12)
+
+
+def test_early_samples_have_early_timestamps() -> None:
+    plain = plain_twin()
+    plain["boards"]["GY80-1"]["time_offset"] = quantity(-4e-3)
+    made = make_twin_rig(twin_of(plain), SETTINGS)
+    board = made.truth.boards["GY80-1"]
+    lag_s = np.sqrt(2.0) / (2.0 * np.pi * board.imu.bandwidth_hz)
+    assert board.imu.tau_s == 0.0
+    assert board.stamp_early_s == pytest.approx(4e-3 + lag_s)
+
+
+def test_causes_that_cannot_be_emulated_are_named() -> None:
+    plain = plain_twin()
+    share = {"share": quantity(0.1, None, "1")}
+    plain["causes"] = [
+        {"cause": "stuck_axis", "where": "x", "board": "GY80-1", "parameters": share},
+        {"cause": "clock_step", "where": "all", "board": "GY80-1",
+         "parameters": {"count": quantity(2.0, None, "1")}},
+    ]  # fmt: skip
+    made = make_twin_rig(twin_of(plain), SETTINGS)
+    assert not made.truth.injected
+    assert [note.split("cause ")[1].split(",")[0] for note in made.notes] == [
+        "stuck_axis",
+        "clock_step",
+    ]
+
+
+def test_a_missing_value_is_an_error() -> None:
+    plain = plain_twin("clock_skew")
+    plain["causes"][0]["parameters"] = {"share": quantity(0.1, None, "1")}
+    with pytest.raises(UsageError, match="clock_skew of the twin cannot be used"):
+        make_twin_rig(twin_of(plain), SETTINGS)
+
+
+def test_events_of_another_recording_do_not_happen() -> None:
+    plain = plain_twin("bias_step", "board_slip")
+    first = plain["recordings"][0]
+    plain["recordings"] = [first, {**first, "name": "b.mcap", "begin_s": 7.3, "end_s": 30.0}]
+    plain["causes"][0]["recording"] = "b.mcap"
+    twin = twin_of(plain)
+    assert [c.cause for c in make_twin_rig(twin, SETTINGS).truth.injected] == ["board_slip"]
+    both = make_twin_rig(twin, SETTINGS, "b.mcap").truth.injected
+    stated = plain["causes"][0]["parameters"]["time"]["value"]
+    assert both[0].cause == "bias_step"
+    assert both[0].number("at") == pytest.approx(stated - 7.3 + BEGIN_S)
+
+
+def test_hidden_causes_are_added_to_those_of_the_twin() -> None:
+    settings = RigSettings(
+        seed=9, session_s=(BEGIN_S, END_S), injections=(parse_injection("s_curve"),)
+    )
+    made = make_twin_rig(twin_of(plain_twin("warm_up")), settings)
+    assert [cause.cause for cause in made.truth.injected] == ["warm_up", "s_curve"]
+
+
+def test_draws_follow_the_posterior_and_are_reproducible() -> None:
+    plain = plain_twin("warm_up")
+    board = plain["boards"]["GY80-1"]
+    board["odr"]["std"] = 0.01
+    names = ["boards.GY80-1.gain.0.2", "boards.GY80-1.bias.1", "causes.0.begin.x"]
+    std = np.array([2e-4, 1e-5, 3e-5])
+    correlation = np.array([[1.0, 0.9, 0.0], [0.9, 1.0, -0.4], [0.0, -0.4, 1.0]])
+    covariance = correlation * np.outer(std, std)
+    plain["posterior"] = {"names": names, "covariance": covariance.tolist()}
+    twin = twin_of(plain)
+    assert draw_twin(twin, 0) is twin
+    assert draw_twin(twin, 7) == draw_twin(twin, 7)
+
+    def values(drawn: Twin) -> list[float]:
+        board_drawn = drawn.boards["GY80-1"]
+        begin = drawn.causes[0].parameters["begin.x"].value
+        return [
+            board_drawn.gain.value[0][2],
+            board_drawn.bias.value[1],
+            begin,
+            board_drawn.odr.value if board_drawn.odr else 0.0,
+        ]
+
+    draws = np.array([values(draw_twin(twin, number)) for number in range(1, 2001)])
+    deviations = (draws - values(twin)) / [*std, 0.01]
+    assert np.abs(deviations.mean(axis=0)).max() < 0.1
+    assert np.abs(np.corrcoef(deviations[:, :3].T) - correlation).max() < 0.06
+    assert deviations.std(axis=0) == pytest.approx(np.ones(4), abs=0.06)
+    unchanged = draw_twin(twin, 3).boards["GY80-1"].gain.value[0][0]
+    assert unchanged == twin.boards["GY80-1"].gain.value[0][0]
+
+
+def test_a_rig_file_with_a_twin_is_read() -> None:
+    import yaml  # noqa: PLC0415
+
+    rig = yaml.safe_load((ROOT / "config" / "rig.yaml").read_text())
+    rig["twin"] = plain_twin("worm_error")
+    config = parse_rig(dump_yaml(rig), "twin.yaml")
+    assert config.twin is not None
+    assert config.twin.causes[0].cause == "worm_error"
+    rig["boards"][0]["id"] = "GY80-2"
+    with pytest.raises(UsageError, match="no board GY80-2"):
+        parse_rig(dump_yaml(rig), "twin.yaml")
+    rig["boards"][0]["id"] = "GY80-1"
+    rig["twin"]["causes"][0]["board"] = "GY80-7"
+    with pytest.raises(UsageError, match=r"twin\.yaml: twin: causes, entry 1"):
+        parse_rig(dump_yaml(rig), "twin.yaml")
+
+
+@pytest.mark.parametrize("board_count", [2])
+def test_a_cause_on_one_of_several_boards_needs_its_board(board_count: int) -> None:
+    plain = plain_twin("warm_up")
+    plain["boards"]["B2"] = plain["boards"]["GY80-1"]
+    boards = tuple(BoardSettings(name=name) for name in ("GY80-1", "B2")[:board_count])
+    settings = RigSettings(seed=9, boards=boards, ptu=PtuSettings(), session_s=(BEGIN_S, END_S))
+    (cause,) = make_twin_rig(twin_of(plain), settings).truth.injected
+    assert cause.board == "GY80-1"
+    plain["causes"][0]["board"] = None
+    with pytest.raises(UsageError, match="warm_up of the twin has no board"):
+        make_twin_rig(twin_of(plain), settings)
