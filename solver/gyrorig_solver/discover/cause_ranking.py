@@ -18,10 +18,12 @@ from gyrorig_solver.discover.fit_space import FitSpace, Space
 from gyrorig_solver.discover.law_candidates import fit_law_cause, judge_law_cause
 from gyrorig_solver.discover.score_tests import scan_catalogue
 from gyrorig_solver.discover.testable_terms import FALSE_ALARM_RATE
-from gyrorig_solver.estimate import NuisanceProjector
+from gyrorig_solver.estimate import FittedTerm, NuisanceProjector
 from gyrorig_solver.model import Term, recording_index_of, term_label
 
 CREDIBLE_SET_LEVEL = 0.95  # belief that the stated set holds the cause
+# Belief that what happens in several recordings of one board has the same cause in each of them.
+SAME_CAUSE_BELIEF = 0.95
 MAX_SWAPS = 4  # times that named causes may lose their place in the end
 MIN_EVIDENCE_LEAD_NATS = 1.0  # nats of evidence that a rival must be ahead by
 # Share of a cause's statistic: twice what its form may leave of its effect without any noise
@@ -42,6 +44,8 @@ class RankedCause:
     rivals: tuple[tuple[FittedCandidate, float], ...]  # other causes and their posterior
     posterior: float
     board_gain_nats: float | None = None  # nats won on this board, where several share it
+    # What other recordings say about the cause and each rival, nats; () without a word.
+    other_recordings_nats: tuple[float, ...] = ()
 
     def with_gain_limit(self, gains_by_label: Mapping[str, float]) -> "RankedCause":
         """Return it with at most the gain that a refit without the cause confirms."""
@@ -52,6 +56,13 @@ class RankedCause:
             else replace(self, candidate=replace(self.candidate, delta_log_likelihood=nats))
         )
 
+    def lead_nats(self, rival: int) -> float:
+        """Return by how much the evidence for a rival exceeds that for the cause."""
+        nats = self.rivals[rival][0].log_evidence - self.candidate.log_evidence
+        if self.other_recordings_nats:
+            nats += self.other_recordings_nats[1 + rival] - self.other_recordings_nats[0]
+        return nats
+
     @property
     def one_of(self) -> tuple[str, ...]:
         """The other causes of the credible set."""
@@ -59,6 +70,11 @@ class RankedCause:
         names = credible_set(self.posterior, rivals)
         equivalent = self.candidate.extension.term.equivalent_causes
         return (*names, *(name for name in equivalent if name not in names))
+
+    @property
+    def shares(self) -> tuple[tuple[FittedCandidate, float], ...]:
+        """The cause and its rivals with their posterior probabilities."""
+        return ((self.candidate, self.posterior), *self.rivals)
 
     @property
     def statistic(self) -> float:
@@ -77,9 +93,10 @@ class RankedCause:
                 _rejection_reason(
                     rival.delta_log_likelihood - named.delta_log_likelihood,
                     rival.log_evidence - named.log_evidence,
+                    self.lead_nats(k),
                 ),
             )
-            for rival, posterior in self.rivals
+            for k, (rival, posterior) in enumerate(self.rivals)
         )
 
 
@@ -99,7 +116,21 @@ def credible_set(posterior: float, rivals: Iterable[tuple[str, float]]) -> tuple
     return tuple(names)
 
 
-def _rejection_reason(delta_log_likelihood: float, delta_log_evidence: float) -> str:
+def nats_for_sole_name(gain_nats: float) -> float:
+    """Return the lead in log evidence over one rival that makes a cause the only name.
+
+    Args:
+        gain_nats: log-likelihood that the cause wins.
+    """
+    odds = CREDIBLE_SET_LEVEL / (1.0 - CREDIBLE_SET_LEVEL)
+    return float(np.log(odds) * np.hypot(1.0, MODEL_ERROR_SHARE * gain_nats))
+
+
+def _rejection_reason(
+    delta_log_likelihood: float, delta_log_evidence: float, lead_nats: float
+) -> str:
+    if lead_nats < min(0.0, delta_log_evidence - 1.0):
+        return "another recording of the same board shows the named cause, and not the alternative"
     if delta_log_evidence > 0.0:
         return "the alternative fits as well; the data cannot distinguish the two causes"
     if delta_log_likelihood > -1.0:
@@ -127,7 +158,9 @@ def review_ranking(
         is_acceptable: whether a fit with a swapped cause may replace the other one.
     """
     for swap in range(MAX_SWAPS + 1):
-        ranked_causes, replacement = [], None
+        ranked_causes: list[RankedCause] = []
+        numbers: list[int] = []
+        replacement: tuple[int, FittedTerm] | None = None
         shows_beside = _significance_beside(space, tests)
         for k, extension in enumerate(space.fitted_terms):
             if not extension.free_indices.size:
@@ -137,11 +170,12 @@ def review_ranking(
             candidates = [term for term in terms if term_label(term) in {*labels, label}]
             ranked = rank_against_alternatives(space, k, candidates, tests, shows_beside)
             ranked_causes.append(ranked)
-            lead = (
-                ranked.rivals and ranked.rivals[0][0].log_evidence - ranked.candidate.log_evidence
-            )
-            if replacement is None and lead and lead > MIN_EVIDENCE_LEAD_NATS:
+            numbers.append(k)
+        ranked_causes = [_with_other_recordings(ranked, ranked_causes) for ranked in ranked_causes]
+        for k, ranked in zip(numbers, ranked_causes, strict=True):
+            if ranked.rivals and ranked.lead_nats(0) > MIN_EVIDENCE_LEAD_NATS:
                 replacement = k, ranked.rivals[0][0].extension
+                break
         if replacement is None or swap == MAX_SWAPS:
             break
         k, other = replacement
@@ -151,6 +185,45 @@ def review_ranking(
             break
         space = swapped
     return space, tuple(ranked_causes)
+
+
+def _with_other_recordings(ranked: RankedCause, all_ranked: Sequence[RankedCause]) -> RankedCause:
+    """Return the ranking of a cause of one recording with what the other recordings say.
+
+    Each recording has its own values of such a cause, but one board has hardly two different causes
+    that look the same. Another recording's posterior p of a cause counts as the prior
+    b p + (1 - b) / n, with the belief b that the cause is the same one, and n compared causes.
+    """
+    number = recording_index_of(ranked.candidate.extension.term)
+    if number is None:
+        return ranked
+    causes = [candidate.extension.term.cause for candidate, _ in ranked.shares]
+    prior = np.ones(len(causes))
+    others: dict[int, list[FloatArray]] = {}
+    for other in all_ranked:
+        other_number = recording_index_of(other.candidate.extension.term)
+        if other_number is None or other_number == number:
+            continue
+        shares = {candidate.extension.term.cause: share for candidate, share in other.shares}
+        others.setdefault(other_number, []).append(
+            np.array([shares.get(cause, 0.0) for cause in causes])
+        )
+    shares_here = np.array([share for _, share in ranked.shares])
+    for posteriors in others.values():
+        likest = max(posteriors, key=lambda shares: float(shares @ shares_here))
+        if float(likest @ shares_here) > 0.0:
+            prior *= SAME_CAUSE_BELIEF * likest + (1.0 - SAME_CAUSE_BELIEF) / len(causes)
+    if np.all(prior == 1.0):
+        return ranked
+    belief = shares_here * prior / float(shares_here @ prior)
+    nats = np.log(prior)
+    order = np.argsort(-belief[1:], kind="stable")
+    return replace(
+        ranked,
+        posterior=float(belief[0]),
+        rivals=tuple((ranked.rivals[k][0], float(belief[1 + k])) for k in order),
+        other_recordings_nats=(float(nats[0]), *(float(nats[1 + k]) for k in order)),
+    )
 
 
 def _significance_beside(space: FitSpace, tests: int) -> Callable[[Term], bool]:
