@@ -6,15 +6,17 @@ from typing import Any
 
 import click
 
-from gyrorig_protocol.errors import GyrorigError
+from gyrorig_protocol.errors import GyrorigError, UsageError
 from gyrorig_protocol.identity import BoardId
 from gyrorig_protocol.recording.reader import read_recording
 from gyrorig_protocol.recording.recording import Recording
 from gyrorig_solver.commands.board_selection import select_boards
 from gyrorig_solver.commands.terminal import NOT_IDENTIFIABLE, PARTIAL, Terminal, json_option
-from gyrorig_solver.findings import FindingsDocument, findings_summary
+from gyrorig_solver.findings import FindingsDocument, findings_summary, next_experiment_lines
 from gyrorig_solver.findings.findings_document import to_plain
 from gyrorig_solver.pipeline import WrittenFindings, explain_boards, write_explanation
+from gyrorig_solver.pipeline.next_experiment import with_next_experiment
+from gyrorig_solver.plan import MAX_PROGRAM_S, load_rig, require_new_path
 
 
 @click.command("explain")
@@ -34,6 +36,25 @@ from gyrorig_solver.pipeline import WrittenFindings, explain_boards, write_expla
     help="Another recording, to test the named causes on; nothing is fitted to it.  "
     "[default: none]",
 )
+@click.option(
+    "--next-seconds",
+    type=click.FloatRange(0.0, 3600.0),
+    default=MAX_PROGRAM_S,
+    show_default=True,
+    help="The longest motion program to propose where a set of causes is stated; 0: propose none.",
+)
+@click.option(
+    "--next-program",
+    type=click.Path(path_type=Path, dir_okay=False),
+    help="The new file of the proposed motion program.  [default: OUT/<board>/next-program.yaml]",
+)
+@click.option(
+    "--rig",
+    "rig_path",
+    type=click.Path(path_type=Path),
+    help="The rig file: the proposed motion program stays within its limits.  "
+    "[default: the limits that the unit reported]",
+)
 @json_option
 @click.pass_obj
 def explain_command(
@@ -42,6 +63,9 @@ def explain_command(
     board: str | None,
     out: Path,
     held_out: Path | None,
+    next_seconds: float,
+    next_program: Path | None,
+    rig_path: Path | None,
 ) -> int:
     r"""Find errors in the rig model and identify their causes, as far as the data allow.
 
@@ -54,11 +78,17 @@ def explain_command(
     the motion's own unknowns are fitted there; causes of one moment or one recording are
     left out.
 
+    Where the data cannot separate some causes, the command proposes a motion program that
+    separates them, and says what to expect. Record it, and explain both recordings together.
+
     \b
     Example:
       gyrorig explain demo/session.mcap --out findings
       gyrorig explain monday.mcap --held-out tuesday.mcap
     """
+    unit = None if rig_path is None else load_rig(rig_path).unit
+    if next_program is not None:
+        require_new_path(next_program, "--next-program")
     held_out_recording = None if held_out is None else read_recording(held_out)
     read_recordings: list[Recording] = []
     failed: list[dict[str, str]] = []
@@ -74,12 +104,19 @@ def explain_command(
             failed.append({"recording": str(path), "board": "", "error": str(fault)})
     written: list[WrittenFindings] = []
     recordings_of_board = recordings_by_board(read_recordings, board)
+    if next_program is not None and len(recordings_of_board) > 1:
+        raise UsageError(
+            "the option --next-program gives one file, but the recordings have several boards",
+            "select a board with --board, or leave the option out",
+        )
     terminal.print_progress(f"explaining {', '.join(recordings_of_board)}")
     for name, explanation in explain_boards(recordings_of_board, held_out_recording):
         try:
             if isinstance(explanation, GyrorigError):
                 raise explanation
-            written.append(write_explanation(out, explanation))
+            terminal.print_progress(f"planning the next experiment of {name}")
+            planned = with_next_experiment(explanation, unit, next_seconds)
+            written.append(write_explanation(out, planned, next_program))
             terminal.print_result(findings_text(written[-1]))
         except GyrorigError as fault:
             faults.append(fault)
@@ -122,10 +159,17 @@ def _nothing_testable(document: FindingsDocument) -> bool:
 
 def findings_text(written: WrittenFindings) -> str:
     """Return one board's findings as lines for a terminal."""
-    return (
-        f"{findings_summary(written.document)}\n  findings              {written.path}"
-        f"\n  report                {written.page}"
-    )
+    lines = [
+        findings_summary(written.document),
+        f"  findings              {written.path}",
+        f"  report                {written.page}",
+    ]
+    proposed = written.document.next_experiment
+    if proposed is not None and proposed.program is not None:
+        path = written.path.parent / proposed.program
+        seconds = "" if proposed.seconds is None else f" ({proposed.seconds:.0f} s)"
+        lines.append(f"Next: record {path}{seconds}, then explain all recordings together.")
+    return "\n".join([*lines, *next_experiment_lines(written.document)])
 
 
 def findings_json(written: WrittenFindings) -> dict[str, Any]:

@@ -35,6 +35,9 @@ from gyrorig_solver.plan import (
     predict_detectability,
     predict_program,
     predict_total,
+    program_text,
+    require_new_path,
+    write_new_file,
 )
 from gyrorig_solver.plan.criterion import CRITERIA, Criterion, cost
 from gyrorig_solver.plan.detectability_table import (
@@ -48,7 +51,6 @@ from gyrorig_solver.plan.prediction_table import (
     predictions_table,
     undetermined_parameters,
 )
-from gyrorig_solver.plan.program_file import program_text, require_new_path, write_new_file
 from gyrorig_solver.plan.program_search import AIMS
 from gyrorig_solver.plan.total_prediction import PlanPrior
 from gyrorig_solver.uncertainty import default_settings, read_settings

@@ -121,6 +121,39 @@ class NuisanceProjector(NuisanceSpace):
             projector._solution = solution
         return projector
 
+    @classmethod
+    def of_effect(
+        cls,
+        solution: ConvergedFit,
+        replaced_term: FittedTerm,
+        cause: FittedTerm | None,
+        noises: Sequence[NoiseModel],
+    ) -> Self:
+        """Return the projector of a fit whose residual is the effect of one cause, without noise.
+
+        Every unknown is at the mean of its prior. What another cause wins of this residual is what
+        it can explain of the effect.
+
+        Args:
+            solution: a fit with `replaced_term`; the samples themselves are not used.
+            replaced_term: the cause of the fit that is taken out.
+            cause: the cause whose effect is the residual; None: the residual is zero.
+            noises: of each recording.
+        """
+        others = remaining_terms(solution, [replaced_term])
+        segments = [
+            replace(segment, residuals=_effect_of(cause, others, segment))
+            for segment in build_segments(solution, [replaced_term], noises)
+        ]
+        basis, local, prior = nuisance_basis(solution, segments, others)
+        prior = replace(
+            prior,
+            local_score=np.zeros_like(prior.local_score),
+            shared_score=np.zeros_like(prior.shared_score),
+            motion_offset=np.zeros_like(prior.motion_offset),
+        )
+        return cls(segments, others, basis, local, prior, others)
+
     def drop_terms(self, removed: Sequence[int]) -> ReducedModel:
         """Return the fit's model without some of its causes; their effect is added back.
 
@@ -344,3 +377,17 @@ class NuisanceProjector(NuisanceSpace):
                 cascade.clear_cache()
             self._cached_term = term_label(term)
         return self._exact_cascades if exact else self._cascades
+
+
+def _effect_of(
+    cause: FittedTerm | None, others: Sequence[FittedTerm], segment: SeriesSegment
+) -> tuple[FloatArray, ...]:
+    """Return the exact effect of a cause in addition to others, zero where unused, (n, 3) each."""
+    if cause is None:
+        return tuple(np.zeros_like(residual) for residual in segment.residuals)
+    return tuple(
+        np.where(
+            used[:, None], TermCascade(others, state).joint_effect(cause.term, cause.values), 0.0
+        )
+        for state, used in zip(segment.exact_states, segment.used, strict=True)
+    )

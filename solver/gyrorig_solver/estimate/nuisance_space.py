@@ -8,7 +8,7 @@ What to use when: `score_statistics` for information and score of whitened signa
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import reduce
 from operator import add
 
@@ -263,6 +263,26 @@ class NuisanceSpace:
             - shared_step.T @ self._shared_score,
             np.diag(products.gram).copy(),
             shared_step[: self.board_parameters].T,
+        )
+
+    @property
+    def shared_count(self) -> int:
+        """The number of unknowns that are not local."""
+        return len(self._basis)
+
+    def motion_space(self) -> "NuisanceSpace":
+        """Return the space of the motion's unknowns alone, which belong to one recording."""
+        board, prior = self.board_parameters, self._prior
+        own_prior = replace(
+            prior,
+            cross=prior.cross[:, board:],
+            shared=prior.shared[board:, board:],
+            shared_score=prior.shared_score[board:],
+            first_term=0,
+            board_parameters=0,
+        )
+        return NuisanceSpace(
+            self.residual, self.channel_lengths, self._basis[board:], self._local, own_prior
         )
 
     def normal_blocks(self) -> NormalBlocks:

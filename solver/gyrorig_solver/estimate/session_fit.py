@@ -219,6 +219,10 @@ class SessionFit:
                 exact_state = self.signal_state(series_state.series, blocks, gain, exact=True)
                 yield series_index, blocks, model, coarse_state, exact_state
 
+    def take_motion_noise(self, motion_noise: MotionNoise | None) -> None:
+        """Weight the samples in motion as another recording's, at the present motion."""
+        self._weights = MotionWeights.of(motion_noise, self._series_states)
+
     # ---- steps of a fit
 
     def estimate_lag(self) -> None:

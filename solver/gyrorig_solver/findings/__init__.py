@@ -12,7 +12,12 @@ from gyrorig_solver.findings.findings_builder import (
 )
 from gyrorig_solver.findings.findings_document import CauseEntry, FindingsDocument, to_yaml
 from gyrorig_solver.findings.findings_files import write_findings
-from gyrorig_solver.findings.findings_wording import amount_text, findings_summary, place_text
+from gyrorig_solver.findings.findings_wording import (
+    amount_text,
+    findings_summary,
+    next_experiment_lines,
+    place_text,
+)
 
 __all__ = [
     "UNEXPLAINED_FIGURE",
@@ -22,6 +27,7 @@ __all__ = [
     "build_findings_document",
     "figure_key",
     "findings_summary",
+    "next_experiment_lines",
     "place_text",
     "to_yaml",
     "write_findings",

@@ -23,6 +23,8 @@ from gyrorig_solver.findings.findings_document import (
     FindingsDocument,
     GainEntry,
     InputEntry,
+    NextExperimentEntry,
+    NextPairEntry,
     RawCheckEntry,
     RivalEntry,
     SizeEntry,
@@ -32,8 +34,10 @@ from gyrorig_solver.findings.findings_document import (
 )
 from gyrorig_solver.findings.findings_wording import cause_remedy
 from gyrorig_solver.model.catalogue import catalogue
+from gyrorig_solver.plan import NextExperiment
 
 UNEXPLAINED_FIGURE = "unexplained"  # key of the figure
+NEXT_PROGRAM_NAME = "next-program.yaml"
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,6 +64,8 @@ def build_findings_document(
     origin: FindingsOrigin,
     figures: Mapping[str, str] | None = None,
     remarks: Sequence[str] = (),
+    next_experiment: NextExperiment | None = None,
+    program_file: str = NEXT_PROGRAM_NAME,
 ) -> FindingsDocument:
     """Return the document of one board."""
     figure_files = figures or {}
@@ -100,7 +106,25 @@ def build_findings_document(
         elsewhere=_gain_entry(findings.other_recording_gain),
         effect_on_calibration=[document_part(ChangeEntry, change) for change in findings.changes],
         remarks=list(remarks),
+        next_experiment=_next_experiment_entry(next_experiment, program_file),
     )
+
+
+def _next_experiment_entry(
+    proposed: NextExperiment | None, program_file: str
+) -> NextExperimentEntry | None:
+    if proposed is None:
+        return None
+    pairs = [
+        NextPairEntry(
+            list(outlook.causes), finite_values(outlook.nats), finite_values(outlook.probability)
+        )
+        for outlook in proposed.outlooks
+    ]
+    longest_s = proposed.max_duration_s
+    if proposed.program is None:
+        return NextExperimentEntry(pairs, longest_s=longest_s)
+    return NextExperimentEntry(pairs, program_file, round(proposed.duration_s, 1), longest_s)
 
 
 def unexplained_bias_sigma(residual: FoundUnexplained) -> float:

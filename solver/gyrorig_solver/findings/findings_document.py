@@ -148,6 +148,23 @@ class DetectableEntry(_Document, frozen=True, omit_defaults=True):
     by_sigma: float | None = None
 
 
+class NextPairEntry(_Document, frozen=True):
+    """What a proposed program is expected to say about two causes."""
+
+    causes: list[str]
+    expected_log_bayes_factor: float | None  # nats, the smaller of both truths
+    probability: float | None  # that the truth becomes the only name
+
+
+class NextExperimentEntry(_Document, frozen=True, omit_defaults=True):
+    """The motion program that separates the causes that are possible."""
+
+    pairs: list[NextPairEntry]
+    program: str | None = None  # its file, beside the document; None: no program helps
+    seconds: float | None = None  # that it lasts
+    longest_s: float | None = None  # that it may last
+
+
 class RawCheckEntry(_Document, frozen=True):
     """One check of the raw stream, without a model."""
 
@@ -176,6 +193,7 @@ class FindingsDocument(_Document, frozen=True, kw_only=True, omit_defaults=True)
     minimal_detectable: list[DetectableEntry]
     raw: list[RawCheckEntry]
     remarks: list[str] = []
+    next_experiment: NextExperimentEntry | None = None  # where sets of causes are stated
 
 
 def to_plain(document: FindingsDocument) -> dict[str, Any]:

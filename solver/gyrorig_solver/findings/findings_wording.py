@@ -41,6 +41,7 @@ _OTHER_TITLES = {
     ReferenceSmoothing.cause: ReferenceSmoothing.title,
 }
 MAX_NAMES_PER_LINE = 8
+MIN_SEPARATION_PROBABILITY = 0.5  # of one name; less is not called a separation
 MIN_P_VALUE = 1e-12  # smaller ones are not told apart
 
 _LIMITED_REFERENCE = (
@@ -174,6 +175,29 @@ def findings_summary(document: FindingsDocument) -> str:
         lines.append(f"  not testable here     {', '.join(names)}")
     lines += [f"  note: {text}" for text in document.remarks]
     return "\n".join(lines)
+
+
+def next_experiment_lines(document: FindingsDocument) -> list[str]:
+    """Return sentences on the proposed program, without its file; [] where no set is stated."""
+    proposed = document.next_experiment
+    if proposed is None:
+        return []
+    lines, open_pairs = [], []
+    for pair in proposed.pairs:
+        names = f"{pair.causes[0]} from {pair.causes[1]}"
+        is_hopeless = not pair.probability or pair.probability < MIN_SEPARATION_PROBABILITY
+        if proposed.program is None or is_hopeless:
+            open_pairs.append(names)
+            continue
+        lines.append(
+            f"It separates {names}: expected log Bayes factor "
+            f"{format_short(pair.expected_log_bayes_factor or 0.0)}, one name with a probability "
+            f"of {100.0 * (pair.probability or 0.0):.0f} %."
+        )
+    if open_pairs:
+        limit = "" if proposed.longest_s is None else f" of at most {proposed.longest_s:g} s"
+        lines.append(f"No motion program{limit} is sure to separate {', '.join(open_pairs)}.")
+    return lines
 
 
 def _limit_text(limit: DetectableEntry) -> str:

@@ -24,6 +24,7 @@ from gyrorig_solver.discover import (
 from gyrorig_solver.estimate import ConvergedFit, GyroFit
 from gyrorig_solver.findings.findings_builder import RawChecks
 from gyrorig_solver.pipeline.board_data import BoardData
+from gyrorig_solver.plan import NextExperiment
 from gyrorig_solver.report import ReportSeries
 
 if TYPE_CHECKING:  # a curve completes an explanation
@@ -47,6 +48,7 @@ class BoardExplanation:
     fit: GyroFit | None = None  # where the reference is no unit's motion; with the named causes
     attitude_space: AttitudeFitSpace | None = None  # where the reference is attitudes
     temperature: "RestTemperature | None" = None  # where the bias at rest follows the temperature
+    next_experiment: NextExperiment | None = None  # where sets of causes are stated
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -11,6 +11,8 @@ from datetime import UTC, datetime
 from importlib.metadata import version as installed_version
 from pathlib import Path
 
+import msgspec
+
 from gyrorig_protocol.errors import GyrorigError
 from gyrorig_protocol.identity import BoardId
 from gyrorig_protocol.recording.recording import Recording
@@ -22,7 +24,7 @@ from gyrorig_solver.findings import (
     to_yaml,
     write_findings,
 )
-from gyrorig_solver.findings.findings_builder import FindingsOrigin
+from gyrorig_solver.findings.findings_builder import NEXT_PROGRAM_NAME, FindingsOrigin
 from gyrorig_solver.findings.findings_document import BoardEntry, InputEntry
 from gyrorig_solver.findings.findings_files import PAGE_NAME, figure_path
 from gyrorig_solver.pipeline.board_data import BoardData, check_given_once, has_unit, load_board
@@ -30,6 +32,7 @@ from gyrorig_solver.pipeline.board_results import BoardExplanation
 from gyrorig_solver.pipeline.joint_data import JointData, load_jointly
 from gyrorig_solver.pipeline.motion_explanation import explain_motion
 from gyrorig_solver.pipeline.prepare_board import fit_base
+from gyrorig_solver.plan import program_text, write_new_file
 from gyrorig_solver.report import draw_findings_figures, render_findings
 from gyrorig_solver.report.figure_layout import standalone_svg
 
@@ -139,22 +142,43 @@ def _check_held_out(recordings: Sequence[Recording], held_out: Recording | None)
         check_given_once([*recordings, held_out])
 
 
-def write_explanation(out: Path, explanation: BoardExplanation) -> WrittenFindings:
-    """Write findings, figures and page of one board below `out`.
+def write_explanation(
+    out: Path, explanation: BoardExplanation, program_path: Path | None = None
+) -> WrittenFindings:
+    """Write findings, figures, page and proposed program of one board below `out`.
+
+    `program_path`: the new file of the program; by default it is beside the findings.
 
     Raises:
+        UsageError: the file of the program exists, or its folder does not.
         MachineError: the folder cannot be written.
     """
     figures = _draw_figures(explanation)
-    document = build_document(explanation, {key: figure_path(key) for key in figures})
+    document = build_document(explanation, {key: figure_path(key) for key in figures}, program_path)
+    program = program_document(explanation)
+    if program is not None and program_path is not None:
+        write_new_file(program_path, program)
+        program = None
     path = write_findings(
         out,
         explanation.board,
         to_yaml(document),
         render_findings(document, figures),
         {key: standalone_svg(text) for key, text in figures.items()},
+        program,
     )
     return WrittenFindings(document, path, path.with_name(PAGE_NAME))
+
+
+def program_document(explanation: BoardExplanation) -> str | None:
+    """Return the proposed program of an explanation as YAML; None without one."""
+    proposed = explanation.next_experiment
+    if proposed is None or proposed.program is None:
+        return None
+    pairs = ", ".join(
+        " from ".join(outlook.causes) for outlook in proposed.outlooks if outlook.is_separated
+    )
+    return program_text(msgspec.structs.replace(proposed.program, description=f"separates {pairs}"))
 
 
 def findings_page(explanation: BoardExplanation) -> tuple[FindingsDocument, str]:
@@ -164,9 +188,17 @@ def findings_page(explanation: BoardExplanation) -> tuple[FindingsDocument, str]
 
 
 def build_document(
-    explanation: BoardExplanation, figures: Mapping[str, str] | None = None
+    explanation: BoardExplanation,
+    figures: Mapping[str, str] | None = None,
+    program_path: Path | None = None,
 ) -> FindingsDocument:
-    """Build the findings document of one board; `figures`: the figures' files by key."""
+    """Build the findings document of one board.
+
+    Args:
+        explanation: of the board.
+        figures: the figures' files by key.
+        program_path: of the proposed program; by default it is beside the document.
+    """
     metadata = explanation.recordings[0].metadata.get(f"gyrorig.board.{explanation.board}", {})
     origin = FindingsOrigin(
         board=BoardEntry(str(explanation.board), metadata.get("sensor", "")),
@@ -175,7 +207,13 @@ def build_document(
         software=installed_version("gyrorig"),
     )
     return build_findings_document(
-        explanation.findings, explanation.raw_checks, origin, figures, explanation.remarks
+        explanation.findings,
+        explanation.raw_checks,
+        origin,
+        figures,
+        explanation.remarks,
+        explanation.next_experiment,
+        NEXT_PROGRAM_NAME if program_path is None else str(program_path),
     )
 
 

@@ -2,18 +2,23 @@
 
 What to use when: `rig_model.load_rig` for the rig; `prediction.predict_program` for the standard
 uncertainties of a program; `program_search.find_program` for the best program in a given time;
-`detectability.predict_detectability` for the causes that a program detects. `program_family` has
-the programs that are searched, `program_timeline` simulates their execution.
+`detectability.predict_detectability` for the causes that a program detects;
+`separation.propose_program` for a program that separates causes between which a search could not.
+`program_family` has the programs that are searched, `program_timeline` simulates their execution.
 """
 
 from gyrorig_solver.plan.detectability import DetectabilityReport, predict_detectability
 from gyrorig_solver.plan.prediction import Prediction, predict_program
+from gyrorig_solver.plan.program_file import program_text, require_new_path, write_new_file
 from gyrorig_solver.plan.program_search import PlanResult, find_program
 from gyrorig_solver.plan.rig_model import RigModel, load_rig
+from gyrorig_solver.plan.separation import MAX_PROGRAM_S, NextExperiment
 from gyrorig_solver.plan.total_prediction import TotalPrediction, predict_total
 
 __all__ = [
+    "MAX_PROGRAM_S",
     "DetectabilityReport",
+    "NextExperiment",
     "PlanResult",
     "Prediction",
     "RigModel",
@@ -23,4 +28,7 @@ __all__ = [
     "predict_detectability",
     "predict_program",
     "predict_total",
+    "program_text",
+    "require_new_path",
+    "write_new_file",
 ]

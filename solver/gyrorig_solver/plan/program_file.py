@@ -17,18 +17,20 @@ def program_text(program: MotionProgram) -> str:
     return dump_yaml({"schema": SCHEMA, **_non_default_fields(program)})
 
 
-def require_new_path(path: Path) -> None:
+def require_new_path(path: Path, option: str = "--output") -> None:
     """Refuse a file name that cannot be written, before a search of minutes.
+
+    `option`: the one that gives the name.
 
     Raises:
         UsageError: the file exists, or its folder does not.
     """
     if path.exists():
-        raise UsageError(f"{path} exists", "give another name with --output")
+        raise UsageError(f"{path} exists", f"give another name with {option}")
     if not path.parent.is_dir():
         raise UsageError(
             f"the folder {path.parent} does not exist",
-            "create it, or give another name with --output",
+            f"create it, or give another name with {option}",
         )
 
 

@@ -9,6 +9,7 @@ from gyrorig_solver.findings import (
     FindingsDocument,
     amount_text,
     figure_key,
+    next_experiment_lines,
     place_text,
 )
 from gyrorig_solver.findings.findings_document import ChangeEntry, GainEntry
@@ -83,7 +84,19 @@ def findings_view(document: FindingsDocument, figures: Mapping[str, str]) -> dic
         "elsewhere": _gain_text(document.elsewhere),
         "base": _base_model_text(document),
         "remarks": document.remarks,
+        "next_program": _next_program_view(document),
         "recordings": document.recording,
+    }
+
+
+def _next_program_view(document: FindingsDocument) -> dict[str, Any] | None:
+    proposed = document.next_experiment
+    if proposed is None:
+        return None
+    return {
+        "program": proposed.program,
+        "seconds": "" if proposed.seconds is None else f"{proposed.seconds:.0f}",
+        "sentences": next_experiment_lines(document),
     }
 
 

@@ -2,7 +2,8 @@
 
 What to use when: `program_text` for a shipped program, by its name, or by its name and
 "-backwards" for checks of what must not depend on the order of things, or by several names
-joined by "+" for a long session. Programs that only tests use stand beside this file.
+joined by "+" for a long session, or by the path of a YAML file. Programs that only tests use stand
+beside this file.
 """
 
 from pathlib import Path
@@ -17,6 +18,8 @@ Step = dict[str, dict[str, Any]]
 
 def program_text(name: str) -> bytes:
     """Return a program as a file holds it."""
+    if name.endswith(".yaml"):
+        return Path(name).read_bytes()
     if "+" in name:
         documents = [parse_yaml(program_text(part), part) for part in name.split("+")]
         steps = [step for document in documents for step in document["steps"]]

@@ -1,0 +1,51 @@
+"""The next experiment after an explanation: which program separates the causes that remain.
+
+What to use when: `with_next_experiment` for the explanation of a board, `next_experiment` for a
+search alone.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+from gyrorig_protocol.recording.recording import Recording
+from gyrorig_solver.discover import FitExplanation
+from gyrorig_solver.pipeline.board_results import BoardExplanation
+from gyrorig_solver.plan import MAX_PROGRAM_S, NextExperiment
+from gyrorig_solver.plan.separation import propose_program, recorded_unit
+from gyrorig_solver.plan.unit_model import UnitModel
+
+PTU_METADATA = "gyrorig.ptu"
+
+
+def with_next_experiment(
+    explanation: BoardExplanation,
+    unit: UnitModel | None = None,
+    max_duration_s: float = MAX_PROGRAM_S,
+) -> BoardExplanation:
+    """Return an explanation with the proposed program; arguments as for `next_experiment`."""
+    if explanation.fit_explanation is None or max_duration_s <= 0.0:
+        return explanation
+    proposed = next_experiment(
+        explanation.recordings, explanation.fit_explanation, unit, max_duration_s
+    )
+    return replace(explanation, next_experiment=proposed)
+
+
+def next_experiment(
+    recordings: Sequence[Recording],
+    explanation: FitExplanation,
+    unit: UnitModel | None = None,
+    max_duration_s: float = MAX_PROGRAM_S,
+) -> NextExperiment | None:
+    """Return the program that separates ambiguous causes; None where it is not needed.
+
+    Args:
+        recordings: of the explanation.
+        explanation: the search for causes in these recordings.
+        unit: with the limits of the rig; by default the unit as the last recording describes it.
+        max_duration_s: of the program.
+    """
+    metadata = recordings[-1].metadata.get(PTU_METADATA)
+    if unit is None and metadata is not None:
+        unit = recorded_unit(metadata)
+    return None if unit is None else propose_program(explanation, unit, max_duration_s)

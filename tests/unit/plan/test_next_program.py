@@ -1,0 +1,106 @@
+"""The next experiment: a program that separates causes between which a search could not."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from tests.hidden.truth.session import RecordedSession, RigDraw, record
+
+from gyrorig_daemon.emulator.emulator_settings import InjectionRequest
+from gyrorig_protocol.program import parse_program
+from gyrorig_protocol.recording.reader import read_recording
+from gyrorig_protocol.recording.recording import Recording
+from gyrorig_solver.discover import FitExplanation
+from gyrorig_solver.discover.cause_ranking import nats_for_sole_name
+from gyrorig_solver.pipeline.explain_board import explain_recordings
+from gyrorig_solver.pipeline.next_experiment import next_experiment
+from gyrorig_solver.plan import NextExperiment, program_text
+from gyrorig_solver.plan.program_timeline import simulate_program
+from gyrorig_solver.plan.separation import recorded_unit
+from gyrorig_solver.plan.separation.next_program import _needed_nats
+
+HIDDEN = InjectionRequest("scale_quadratic", "z", 4e-4)
+SECOND_SEED = 500_001
+SHORT_S = 40.0
+
+
+class AmbiguousRig:
+    """A rig whose survey-40 recording states a set of causes."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.session: RecordedSession = record(
+            RigDraw(1, "survey-40", hide=(HIDDEN,)), folder / "first.mcap"
+        )
+        self.recording: Recording = read_recording(folder / "first.mcap")
+        self.board = str(self.recording.board_ids[0])
+        self.explanation: FitExplanation = explain_recordings([self.recording], self.board)
+
+    def propose(self, max_duration_s: float = 120.0) -> NextExperiment:
+        """Return the proposed program."""
+        proposed = next_experiment([self.recording], self.explanation, None, max_duration_s)
+        assert proposed is not None
+        return proposed
+
+    def record_second(self, proposed: NextExperiment) -> Recording:
+        """Record the proposed program on the same rig, with other noise."""
+        assert proposed.program is not None
+        program = self.folder / "next-program.yaml"
+        program.write_text(program_text(proposed.program), encoding="utf-8")
+        path = self.folder / "second.mcap"
+        record(RigDraw(SECOND_SEED, str(program), hide=(HIDDEN,)), path, self.session.rig.truth)
+        return read_recording(path)
+
+
+@pytest.fixture(scope="module")
+def rig(tmp_path_factory: pytest.TempPathFactory) -> AmbiguousRig:
+    return AmbiguousRig(tmp_path_factory.mktemp("ambiguous"))
+
+
+def test_a_program_makes_a_set_one_name(rig: AmbiguousRig) -> None:
+    (before,) = rig.explanation.findings.causes
+    assert set(before.candidates) == {"scale_quadratic", "scale_asymmetry"}
+    proposed = rig.propose()
+    (outlook,) = proposed.outlooks
+    assert set(outlook.causes) == set(before.candidates)
+    assert outlook.nats > nats_for_sole_name(0.0)
+    assert outlook.is_separated
+    both = [rig.recording, rig.record_second(proposed)]
+    (after,) = explain_recordings(both, rig.board).findings.causes
+    assert after.candidates == ("scale_quadratic",)
+
+
+def test_a_program_stays_within_time_and_limits(rig: AmbiguousRig) -> None:
+    proposed = rig.propose()
+    assert proposed.program is not None
+    assert proposed.duration_s <= proposed.max_duration_s
+    unit = recorded_unit(rig.recording.metadata["gyrorig.ptu"])
+    assert unit is not None
+    read_back = parse_program(program_text(proposed.program), "next-program.yaml")
+    # A step beyond an angle or a speed of the unit is refused.
+    assert simulate_program(read_back, unit).duration_s == pytest.approx(proposed.duration_s)
+
+
+def test_more_time_promises_more(rig: AmbiguousRig) -> None:
+    short, full = rig.propose(SHORT_S), rig.propose()
+    assert short.duration_s <= SHORT_S
+    assert short.outlooks[0].nats < full.outlooks[0].nats
+    assert short.outlooks[0].probability < full.outlooks[0].probability
+
+
+def test_no_program_without_a_set(rig: AmbiguousRig) -> None:
+    findings = rig.explanation.findings
+    sole = replace(findings, causes=tuple(replace(cause, one_of=()) for cause in findings.causes))
+    explanation = replace(rig.explanation, findings=sole)
+    assert next_experiment([rig.recording], explanation) is None
+
+
+def test_no_program_for_a_unit_that_the_recording_does_not_describe(rig: AmbiguousRig) -> None:
+    unit_unknown = replace(rig.recording, metadata={**rig.recording.metadata, "gyrorig.ptu": {}})
+    assert next_experiment([unit_unknown], rig.explanation) is None
+
+
+def test_the_needed_distance_leaves_the_lower_tail_above_the_threshold() -> None:
+    threshold = nats_for_sole_name(0.0)
+    needed = _needed_nats(threshold)
+    assert needed - 2.6 * (2.0 * needed) ** 0.5 == pytest.approx(threshold)
