@@ -136,30 +136,25 @@ def is_wrong(sets: list[list[str]], truth: str) -> bool:
 
 
 def summary_lines(rows: list[dict[str, Any]]) -> Iterator[str]:
-    """Yield the table."""
-    yield "| pair | detected | sole before | sets | proposed | sole after | wrong before, after |"
-    yield "|---|---|---|---|---|---|---|"
-    for pair in (*PAIRS, "all"):
-        mine = [row for row in rows if pair in (row["pair"], "all") and row["before"]]
-        if not mine:
-            continue
-        sets = [
-            row
-            for row in mine
-            if not is_sole(row["before"], row["truth"])
-            and not is_wrong(row["before"], row["truth"])
-        ]
-        after = [row for row in sets if "after" in row]
-        sole_before = sum(is_sole(row["before"], row["truth"]) for row in mine)
-        sole_after = sum(is_sole(row["after"], row["truth"]) for row in after)
-        wrong = [
-            sum(is_wrong(row[key], row["truth"]) for row in judged)
-            for key, judged in (("before", mine), ("after", after))
-        ]
-        yield (
-            f"| {pair} | {len(mine)} | {sole_before} | {len(sets)} | {len(after)} | "
-            f"{sole_after} | {wrong[0]}, {wrong[1]} |"
-        )
+    """Yield the table: one row for each cause of each pair, and one for all."""
+    yield "| pair | truth | named | sole before | sets | program | sole after | wrong after |"
+    yield "|---|---|---|---|---|---|---|---|"
+    for pair, causes in PAIRS.items():
+        for hidden in causes:
+            judged = [r for r in rows if r["pair"] == pair and r["truth"] == hidden.cause]
+            yield f"| {pair} | {hidden.cause} | {_counts_text(judged)} |"
+    yield f"| all | | {_counts_text(rows)} |"
+
+
+def _counts_text(rows: list[dict[str, Any]]) -> str:
+    named = [row for row in rows if row["before"]]
+    sole = [row for row in named if is_sole(row["before"], row["truth"])]
+    sets = [row for row in named if row not in sole and not is_wrong(row["before"], row["truth"])]
+    after = [row for row in sets if "after" in row]
+    sole_after = sum(is_sole(row["after"], row["truth"]) for row in after)
+    wrong_after = sum(is_wrong(row["after"], row["truth"]) for row in after)
+    counts = (len(named), len(sole), len(sets), len(after), sole_after, wrong_after)
+    return " | ".join(str(count) for count in counts)
 
 
 def read_rows(path: Path) -> list[dict[str, Any]]:

@@ -42,6 +42,7 @@ _OTHER_TITLES = {
 }
 MAX_NAMES_PER_LINE = 8
 MIN_SEPARATION_PROBABILITY = 0.5  # of one name; less is not called a separation
+MAX_STATED_PERCENT = 99.0  # a model cannot promise more
 MIN_P_VALUE = 1e-12  # smaller ones are not told apart
 
 _LIMITED_REFERENCE = (
@@ -192,12 +193,17 @@ def next_experiment_lines(document: FindingsDocument) -> list[str]:
         lines.append(
             f"It separates {names}: expected log Bayes factor "
             f"{format_short(pair.expected_log_bayes_factor or 0.0)}, one name with a probability "
-            f"of {100.0 * (pair.probability or 0.0):.0f} %."
+            f"of {_percent_text(pair.probability or 0.0)}."
         )
     if open_pairs:
         limit = "" if proposed.longest_s is None else f" of at most {proposed.longest_s:g} s"
         lines.append(f"No motion program{limit} is sure to separate {', '.join(open_pairs)}.")
     return lines
+
+
+def _percent_text(probability: float) -> str:
+    percent = 100.0 * probability
+    return "over 99 %" if percent > MAX_STATED_PERCENT else f"{percent:.0f} %"
 
 
 def _limit_text(limit: DetectableEntry) -> str:
