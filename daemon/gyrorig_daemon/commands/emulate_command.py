@@ -76,9 +76,9 @@ def emulate_command(**options: Any) -> None:
     if options["until_eof"]:
         threading.Thread(target=_wait_for_eof, args=(stop,), daemon=True).start()
 
-    def announce(ports: Mapping[str, str], commitment: str | None) -> None:
+    def announce(ports: Mapping[str, str], commitment: str | None, power_up_ns: int) -> None:
         if options["as_json"]:
-            document = {"ports": dict(ports)}
+            document: dict[str, Any] = {"ports": dict(ports), "power_up_raw_ns": power_up_ns}
             click.echo(
                 json.dumps(document if commitment is None else document | {"seal": commitment})
             )

@@ -78,6 +78,7 @@ def emulation_options(options: dict[str, Any], session_s: tuple[float, float]) -
         seed=options["seed"],
         session_seed=options["session_seed"],
         draw=options["draw"],
+        is_replay=options.get("replay_path") is not None,
         twin_recording=options.get("twin_recording"),
         truth=options["truth"],
         rates=options.get("rates"),

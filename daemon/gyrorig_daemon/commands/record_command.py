@@ -6,6 +6,7 @@ import signal
 import socket
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType
 from typing import Any
@@ -19,23 +20,29 @@ from gyrorig_daemon.commands.emulation_flags import (
     print_commitment,
 )
 from gyrorig_daemon.commands.terminal import ProgressLine, Terminal, is_interactive
-from gyrorig_daemon.config import parse_rig, read_document
+from gyrorig_daemon.config import EMULATED, RigConfig, parse_rig, read_document
 from gyrorig_daemon.links.pump import StopFlag
+from gyrorig_daemon.motion import RecordedMotion
 from gyrorig_daemon.session import record_modes
-from gyrorig_daemon.session.emulation_options import estimate_session_s
+from gyrorig_daemon.session.emulation_options import estimate_session_s, replay_begin_s
 from gyrorig_daemon.session.session_description import SessionRequest
 from gyrorig_daemon.session.session_environment import SessionSummary, ignore_event
 from gyrorig_protocol.errors import InputError, UsageError
 from gyrorig_protocol.identity import BoardId
-from gyrorig_protocol.program import parse_program
+from gyrorig_protocol.program import MotionProgram, parse_program
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
 @click.command("record", short_help="Record one session.")
 @click.option("--config", "config_path", type=YAML_FILE, required=True, help="The rig file (YAML).")
+@click.option("--program", "program_path", type=YAML_FILE, help="The motion program (YAML).")
 @click.option(
-    "--program", "program_path", type=YAML_FILE, required=True, help="The motion program (YAML)."
+    "--replay",
+    "replay_path",
+    type=click.Path(path_type=Path, dir_okay=False),
+    help="With an emulated unit: send the orders of this recording at their times, instead of a "
+    "program.",
 )
 @click.option(
     "--out",
@@ -79,19 +86,21 @@ def record_command(context: click.Context, /, **options: Any) -> None:
         --program config/programs/survey-130.yaml --out recordings
     """
     terminal = context.find_object(Terminal) or Terminal()
-    config_path, program_path = options["config_path"], options["program_path"]
-    config_text, program_text = read_document(config_path), read_document(program_path)
+    config_path = options["config_path"]
+    config_text = read_document(config_path)
     config = parse_rig(config_text, config_path.name, config_path.parent)
+    motion = _read_motion(options["program_path"], options["replay_path"], config)
     request = SessionRequest(
         config=config,
         config_text=config_text,
-        program=parse_program(program_text, program_path.name),
-        program_text=program_text,
+        program=motion.program,
+        program_text=motion.program_text,
         out_dir=options["out"],
         session=_session_name(options["session"]),
         home=options["home"],
+        replay=motion.replay,
+        replay_sha256=motion.replay_sha256,
     )
-    span_s = estimate_session_s(request.program, config.ptu.is_person)
     commitments: list[str] = []
     is_quiet = terminal.quiet or terminal.verbose or config.ptu.is_person
     shows_progress = is_interactive() and not is_quiet
@@ -104,7 +113,10 @@ def record_command(context: click.Context, /, **options: Any) -> None:
         task = record_modes.RecordTask(
             request=request,
             config_path=config_path,
-            emulation=emulation_options(options, span_s),
+            emulation=emulation_options(
+                options | {"twin_recording": motion.twin_recording}, motion.session_s
+            ),
+            program_begin_s=motion.program_begin_s,
             host=socket.gethostname(),
             stop=stop,
             progress=progress,
@@ -122,6 +134,58 @@ def record_command(context: click.Context, /, **options: Any) -> None:
         click.echo(json.dumps({"recording": str(path)} | commitment))
     else:
         click.echo(str(path))
+
+
+@dataclass(frozen=True, slots=True)
+class _Motion:
+    """What the unit does in a session: a program, or a replay."""
+
+    program: MotionProgram
+    program_text: bytes
+    session_s: tuple[float, float]  # of an emulated rig, since power-up
+    replay: RecordedMotion | None = None
+    replay_sha256: str = ""
+    program_begin_s: float | None = None  # of a replay, since power-up
+    twin_recording: str | None = None  # of a twin, if it is the replayed one
+
+
+def _read_motion(program_path: Path | None, replay_path: Path | None, config: RigConfig) -> _Motion:
+    """Return the motion of the command line.
+
+    Raises:
+        UsageError: there is no motion, or there are two, or a real unit would replay one.
+        InputError: the recording cannot be replayed.
+    """
+    if (program_path is None) == (replay_path is None):
+        raise UsageError(
+            "the session needs either a motion program or a recording to replay",
+            "give one of the options --program and --replay",
+        )
+    if replay_path is None and program_path is not None:
+        text = read_document(program_path)
+        program = parse_program(text, program_path.name)
+        return _Motion(program, text, estimate_session_s(program, config.ptu.is_person))
+    if replay_path is None or config.ptu.port != EMULATED or config.ptu.is_person:
+        raise UsageError(
+            "the option --replay needs an emulated unit, because nobody checks the orders of a "
+            "recording for a real one",
+            "give a motion program with --program, or write `emulated` as the port of the unit",
+        )
+    from gyrorig_daemon.session.recorded_motion import read_replay  # noqa: PLC0415 - NumPy
+
+    source = read_replay(replay_path)
+    begin_s = max(replay_begin_s(source.program.settings), source.motion.lead_ns * 1e-9)
+    first_s = begin_s - source.motion.lead_ns * 1e-9
+    recordings = () if config.twin is None else config.twin.recordings
+    return _Motion(
+        program=source.program,
+        program_text=source.program_text,
+        session_s=(first_s, begin_s + max(source.motion.duration_ns * 1e-9, 1.0)),
+        replay=source.motion,
+        replay_sha256=source.sha256,
+        program_begin_s=begin_s,
+        twin_recording=next((r.name for r in recordings if r.sha256 == source.sha256), None),
+    )
 
 
 def _session_name(name: str | None) -> str:

@@ -146,7 +146,8 @@ class EmulatedRig:
             )
             for bus in settings.buses
         }
-        self.latency = HostLatency(self.truth.latency, origin_ns, latency_rng)
+        prompt_ports = (PTU_PORT,) if settings.prompt_unit else ()
+        self.latency = HostLatency(self.truth.latency, origin_ns, latency_rng, prompt_ports)
 
     @property
     def devices(self) -> dict[str, EmulatedDevice]:

@@ -173,6 +173,7 @@ class RigSettings:
     boards: tuple[BoardSettings, ...] = (BoardSettings(),)
     buses: tuple[BusSettings, ...] = ()
     injections: tuple[InjectionRequest, ...] = ()
+    prompt_unit: bool = False  # the host does not stall replies of the unit, as for a replay
     noise_free: bool = False  # no noise and no bias wander; counts are still rounded
     session_s: tuple[float, float] = (0.0, 60.0)  # since power-up; events are in its middle
     soak_k: float = (

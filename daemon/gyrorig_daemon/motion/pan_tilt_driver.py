@@ -17,7 +17,8 @@ from gyrorig_daemon.links.pump import Pump
 from gyrorig_daemon.motion.ptu_exchange import Exchange, PtuLineCounts
 from gyrorig_daemon.motion.text_language import TextLanguage
 from gyrorig_daemon.motion.unit_facts import Homing, UnitFacts
-from gyrorig_protocol.errors import DeviceError
+from gyrorig_protocol.errors import DeviceError, UsageError
+from gyrorig_protocol.motion_orders import AxisOrder, OrderAxis
 from gyrorig_protocol.program import PtuSettings
 from gyrorig_protocol.ptu import Axis
 
@@ -121,6 +122,15 @@ class PanTiltDriver(Protocol):
         """
         ...
 
+    def send_orders(self, orders: Sequence[AxisOrder]) -> None:
+        """Send the orders of one exchange, in steps. Return without waiting for the end of a move.
+
+        Raises:
+            DeviceError: it refuses, does not answer, or is not identified.
+            UsageError: the unit has no command for an order.
+        """
+        ...
+
     def poll(self) -> Poll:
         """Request the position of one or all axes.
 
@@ -171,6 +181,17 @@ class DriverEntry:
     title: str
     make: Callable[[DriverPort], PanTiltDriver]
     language: Callable[[PtuPort], TextLanguage] | None = None
+
+
+AXES_OF_ORDERS = {OrderAxis.PAN: Axis.PAN, OrderAxis.TILT: Axis.TILT}
+
+
+def no_command_error(order: AxisOrder, name: str) -> UsageError:
+    """Return the error for an order that a driver cannot send."""
+    return UsageError(
+        f"the driver {name} has no command for an order of the kind {order.kind.name.lower()}",
+        "replay the recording on a unit with the same driver",
+    )
 
 
 def unidentified_error(location: str) -> DeviceError:

@@ -8,11 +8,13 @@ from collections.abc import Callable, Sequence
 
 from gyrorig_daemon.config import PtuPort
 from gyrorig_daemon.motion.pan_tilt_driver import (
+    AXES_OF_ORDERS,
     AxisTarget,
     DriverEntry,
     DriverPort,
     Poll,
     no_answer_error,
+    no_command_error,
     unidentified_error,
 )
 from gyrorig_daemon.motion.ptu_exchange import PtuLineCounts
@@ -134,6 +136,25 @@ class TextUnit:
         for part in targets:
             target = self._with_value(self._language.target, part.axis, part.target_steps)
             self._order(target, self._orders(OrderKind.TARGET, part.axis, part.target_steps))
+
+    def send_orders(self, orders: Sequence[AxisOrder]) -> None:
+        """See `PanTiltDriver`."""
+        if not self.is_identified:
+            raise unidentified_error(self.location)
+        words = {
+            OrderKind.SPEED: self._language.speed,
+            OrderKind.TARGET: self._language.target,
+            OrderKind.ACCELERATION: self._language.acceleration,
+        }
+        for order in orders:
+            axis = AXES_OF_ORDERS.get(order.axis)
+            if order.kind is OrderKind.HALT:
+                self.halt()
+            elif axis is not None and words.get(order.kind):
+                text = self._with_value(words[order.kind], axis, round(order.value))
+                self._order(text, (order,))
+            else:
+                raise no_command_error(order, self.name)
 
     def poll(self) -> Poll:
         """See `PanTiltDriver`."""

@@ -14,6 +14,7 @@ from gyrorig_protocol.program import (
 )
 
 _TABLE_UPDATE_S = 12.5  # a unit computes its tables again for each base speed and acceleration
+_PREPARATION_S = 4.0  # of a replay, in addition: identification, capabilities, first positions
 _PAUSE_S = 4.0  # of a person, between two steps
 _ACCELERATION_DEG_S2 = 100.0  # factory setting
 
@@ -25,6 +26,7 @@ class EmulationOptions:
     seed: int | None = None  # replaces the seed of the configuration
     session_seed: int | None = None  # of the noise of the session; None: it follows from `seed`
     draw: int = 0  # number of the draw from the posterior of a twin; 0: its best values
+    is_replay: bool = False
     twin_recording: str | None = None  # whose single events happen, see `make_twin_rig`
     truth: Path | None = None
     rates: Path | None = None  # see `emulator.noise_free_rates`
@@ -53,6 +55,15 @@ class EmulationOptions:
         if self.soak_k != 0.0:
             words += ["--soak", repr(self.soak_k)]
         return words
+
+
+def replay_begin_s(settings: PtuSettings) -> float:
+    """Return when a replay begins, in seconds after power-up of an emulated rig.
+
+    The unit is ready by then, so that the recorded orders have one place on the time axis of a
+    twin.
+    """
+    return _PREPARATION_S + (_TABLE_UPDATE_S if settings != PtuSettings() else 0.0)
 
 
 def estimate_session_s(program: MotionProgram, is_manual: bool = False) -> tuple[float, float]:

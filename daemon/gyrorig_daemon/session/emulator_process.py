@@ -99,6 +99,7 @@ def emulated_rig_settings(
         session_s=emulation.session_s,
         soak_k=emulation.soak_k,
         session_seed=emulation.session_seed,
+        prompt_unit=emulation.is_replay,
         latitude_deg=config.site.latitude_deg,
         heading_deg=config.site.heading_deg,
     )
@@ -253,6 +254,7 @@ class EmulatorProcess:
             )
         self.paths: Mapping[str, str] = announced["ports"]
         self.commitment: str | None = announced.get("seal")
+        self.power_up_ns: int = announced.get("power_up_raw_ns", 0)
 
     def ending_text(self) -> str:
         """Return how the process has ended, "" while it runs."""

@@ -58,6 +58,7 @@ class RecordTask:
     progress: Progress = ignore_progress
     on_event: EventListener = ignore_event
     on_summary: Callable[[SessionSummary], None] = ignore_summary
+    program_begin_s: float | None = None  # of a replay, since power-up of the emulated rig
     on_commitment: Callable[[str], None] = _ignore_commitment  # hash of the hidden parameters
     say: Callable[[str], None] = ignore_line  # to a person who turns the boards
 
@@ -88,6 +89,7 @@ def record_in_real_time(task: RecordTask) -> Path:
         )
     if not emulated:
         _refuse_emulation_options(emulation)
+    program_begin_ns: int | None = None
     ending: Callable[[], str] = str  # how the emulator has ended, "" while it runs
     with ExitStack() as stack:
         if emulated:
@@ -101,6 +103,8 @@ def record_in_real_time(task: RecordTask) -> Path:
             if process.commitment is not None:
                 task.on_commitment(process.commitment)
             ending = process.ending_text
+            if task.program_begin_s is not None:
+                program_begin_ns = process.power_up_ns + round(task.program_begin_s * 1e9)
             paths |= {port: process.paths[port] for port in emulated}
         hub = stack.enter_context(AcquisitionHub(make_port_settings(config, paths)))
         collect_rarely()
@@ -117,6 +121,7 @@ def record_in_real_time(task: RecordTask) -> Path:
             on_event=task.on_event,
             on_summary=task.on_summary,
             say=task.say,
+            program_begin_ns=program_begin_ns,
         )
         try:
             return _record(hub, task.request, environment)
@@ -195,6 +200,9 @@ def record_in_simulated_time(task: RecordTask) -> Path:
         on_event=task.on_event,
         on_summary=task.on_summary,
         say=task.say,
+        program_begin_ns=None
+        if task.program_begin_s is None
+        else POWER_UP_NS + round(task.program_begin_s * 1e9),
     )
     path = _record(hub, task.request, environment)
     truth.write_full_truth(POWER_UP_NS, hub.now_ns())
@@ -226,7 +234,7 @@ def make_port_settings(config: RigConfig, paths: dict[str, str]) -> dict[str, Po
 def serve_emulated_rig(
     config: RigConfig,
     emulation: EmulationOptions,
-    announce: Callable[[Mapping[str, str], str | None], None],
+    announce: Callable[[Mapping[str, str], str | None, int], None],
     stop: threading.Event,
     links: Path | None = None,
 ) -> None:
@@ -235,8 +243,8 @@ def serve_emulated_rig(
     Args:
         config: the rig; only its ports that are `emulated` are opened.
         emulation: hidden causes, and the file for the true parameters.
-        announce: called once with the path of each port, and with the hash of the hidden
-            parameters if they are secret.
+        announce: called once with the path of each port, with the hash of the hidden parameters
+            if they are secret, and with the time of power-up by the raw monotonic clock.
         stop: set to stop.
         links: a folder for symbolic links with the names of the ports.
 
@@ -260,5 +268,5 @@ def serve_emulated_rig(
     begin_ns = raw_ns()
     rig = build_emulated_rig(config, emulation, begin_ns, is_instant=True).rig
     truth = TruthFile(emulation, rig)
-    serve_rig(rig, lambda ports: announce(ports, truth.commitment), stop.is_set, links)
+    serve_rig(rig, lambda ports: announce(ports, truth.commitment, begin_ns), stop.is_set, links)
     truth.write_full_truth(begin_ns, raw_ns())

@@ -24,12 +24,15 @@ from gyrorig_daemon.motion import (
     PhaseSink,
     PlannedStep,
     PositionPoller,
+    RecordedMotion,
+    ReplayExecutor,
     Unit,
     UnitFacts,
     halt_and_confirm,
     open_unit,
     plan_duration_s,
     plan_program,
+    plan_replay,
 )
 from gyrorig_daemon.recorder import Recorder, RecordingPlan
 from gyrorig_daemon.recorder.background_close import BackgroundClose
@@ -88,7 +91,8 @@ def record_session(hub: PortHub, request: SessionRequest, environment: SessionEn
     except GyrorigError as fault:
         can_halt = not isinstance(fault, PortsGoneError)
         remedies = [fault.remedy, *session.abort_and_close(fault.problem, can_halt)]
-        raise type(fault)(fault.problem, join_sentences(remedies)) from fault
+        remedy = " ".join(sentence(text) for text in remedies if text)
+        raise type(fault)(fault.problem, remedy) from fault
     except BaseException as fault:
         session.abort_and_close(f"{type(fault).__name__}")
         raise
@@ -131,6 +135,7 @@ class Session:
         self._unit: Unit | None = None
         self._poller: PositionPoller | None = None
         self._steps: list[PlannedStep] = []
+        self._replay: RecordedMotion | None = None
         self._steps_done: int | None = None  # None: the program is not running
         self._phases: list[str] = []
         self._timers: list[Timer] = []
@@ -145,11 +150,9 @@ class Session:
         for board in self.boards:
             board.identify()
         ptu, settings = request.config.ptu, request.program.settings
-        homing = Homing.NEVER
+        homing = Homing.IF_NEEDED if ptu.home_without_asking else Homing.NEVER
         if request.home:
             homing = Homing.ALWAYS
-        elif ptu.home_without_asking:
-            homing = Homing.IF_NEEDED
         unit = open_unit(self._driver, settings, homing)
         self._unit = unit
         self._log.set_unit(unit.facts)
@@ -157,6 +160,7 @@ class Session:
         start = poller.read_positions()
         self._poller = poller
         self._steps = plan_program(request.program, unit.facts, ptu.limits, start)
+        self._replay = request.replay and plan_replay(request.replay, unit.facts, ptu.limits)
         self.recorder.open(self._describe_recording(unit))
         self._open_ns = self._pump.now_ns()
         self._sample_counts.clear()
@@ -193,10 +197,13 @@ class Session:
         """Run the motion program."""
         if self._unit is None or self._poller is None:
             raise AssertionError("not prepared")  # a bug of this program
-        phases = PhaseSink(self._begin_phase, self._end_phase)
-        executor = Executor(self._pump, self._unit, self._poller, phases)
+        sink = PhaseSink(self._begin_phase, self._end_phase)
+        devices = (self._pump, self._unit, self._poller, sink)
         self._show_progress(0)
-        executor.run(self._steps, self._show_progress)
+        if self._replay is None:
+            Executor(*devices).run(self._steps, self._show_progress)
+        else:
+            ReplayExecutor(*devices).run(self._replay, self._environment.program_begin_ns)
         self._steps_done = None
 
     def finish(self) -> Path:
@@ -296,8 +303,8 @@ class Session:
             return
         self._board_ids.add(board.board_id)
         self.boards.append(board)
-        now_utc_ns = self._rig.capture.utc_ns(self._pump.now_ns())
-        self.recorder.add_metadata(metadata, hello_attachments(board, now_utc_ns))
+        utc_ns = self._rig.capture.utc_ns(self._pump.now_ns())
+        self.recorder.add_metadata(metadata, hello_attachments(board, utc_ns))
         self.note(f"board {board.board_id} takes part from now on")
 
     def _halt(self) -> str:
@@ -376,8 +383,8 @@ class Session:
         now_ns = self._rig.capture.utc_ns(self._pump.now_ns())
         event = SessionEvent(now_ns, int(kind), phase, text)
         self.recorder.put_or_hold(SESSION_EVENT_TOPIC, event, now_ns)
-        shown_kind = kind.name.lower().replace("_", " ")
-        self._environment.on_event(shown_kind, f"{phase} {text}".strip())
+        words = f"{phase} {text}".strip()
+        self._environment.on_event(kind.name.lower().replace("_", " "), words)
 
 
 class _SessionTimer:
@@ -391,8 +398,3 @@ class _SessionTimer:
         """Check."""
         self.due_ns = now_ns + LATE_BOARD_CHECK_NS
         self._session.check_once_per_second()
-
-
-def join_sentences(texts: Sequence[str]) -> str:
-    """Join clauses to one text, each clause as a sentence."""
-    return " ".join(sentence(text) for text in texts if text)

@@ -9,7 +9,7 @@ from pathlib import Path
 from gyrorig_daemon.clocks.capture_clock import CaptureClock
 from gyrorig_daemon.config import RigConfig, Site
 from gyrorig_daemon.links.boards.board_link import BoardLink
-from gyrorig_daemon.motion import UnitFacts
+from gyrorig_daemon.motion import RecordedMotion, UnitFacts
 from gyrorig_daemon.recorder import RecordingPlan
 from gyrorig_protocol.errors import MachineError
 from gyrorig_protocol.program import MotionProgram
@@ -27,6 +27,8 @@ class SessionRequest:
     out_dir: Path
     session: str
     home: bool = False  # home first, even if the unit reports that it is homed
+    replay: RecordedMotion | None = None  # instead of the steps of the program
+    replay_sha256: str = ""  # of the replayed recording
 
 
 def describe_session(
@@ -63,6 +65,11 @@ def describe_session(
         },
         "foxglove": {"deviceName": config.rig},
     }
+    if request.replay is not None:
+        metadata["gyrorig.replay"] = {
+            "recording": request.replay.name,
+            "sha256": request.replay_sha256,
+        }
     if facts is not None:
         metadata["gyrorig.ptu"] = facts.metadata()
     for board in boards:
@@ -95,8 +102,11 @@ def _attachments(
 ) -> tuple[Attachment, ...]:
     attachments = [
         Attachment("rig.yaml", "application/yaml", request.config_text, now_utc_ns),
-        Attachment("program.yaml", "application/yaml", request.program_text, now_utc_ns),
     ]
+    if request.program_text:  # a replayed recording can have none
+        attachments.append(
+            Attachment("program.yaml", "application/yaml", request.program_text, now_utc_ns)
+        )
     for config in request.config.boards:
         if config.signals is not None and config.signals.dbc is not None:
             text = config.signals.dbc.encode()

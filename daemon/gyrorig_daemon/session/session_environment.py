@@ -52,6 +52,7 @@ class SessionEnvironment:
     threaded_writer: bool
     host: str
     seed: int = 0  # of the random moments at which time is requested from the boards
+    program_begin_ns: int | None = None  # a replay begins then, by the clock of the ports
     paths: dict[str, str] = field(default_factory=dict)  # of ports that are not as configured
     dropped_bytes: Callable[[], int] = lambda: 0
     stop: StopFlag = field(default_factory=StopFlag)

@@ -71,7 +71,7 @@ class Bench:
         self.stop = StopFlag()
         self.stop_at_s: float | None = None
 
-    def record(self, program: str = PROGRAM, **options: bool) -> Path:
+    def record(self, program: str = PROGRAM, home: bool = False) -> Path:
         order = SessionRequest(
             config=self.config,
             config_text=RIG.encode(),
@@ -79,7 +79,7 @@ class Bench:
             program_text=program.encode(),
             out_dir=self.folder,
             session="t",
-            **options,
+            home=home,
         )
         capture = CaptureClock(UTC_NS, ORIGIN_NS)
 

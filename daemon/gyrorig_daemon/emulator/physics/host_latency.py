@@ -28,9 +28,23 @@ class LatencyTruth:
 class HostLatency:
     """Arrival times of the ports of a host; stalls are common to all ports."""
 
-    def __init__(self, truth: LatencyTruth, origin_ns: int, rng: np.random.Generator) -> None:
-        """Draw from `rng`; there is no stall before `origin_ns`."""
+    def __init__(
+        self,
+        truth: LatencyTruth,
+        origin_ns: int,
+        rng: np.random.Generator,
+        prompt_ports: tuple[str, ...] = (),
+    ) -> None:
+        """Draw from `rng`.
+
+        Args:
+            truth: the latencies.
+            origin_ns: there is no stall before.
+            rng: source of the random numbers.
+            prompt_ports: ports whose bytes no stall delays.
+        """
         self._truth = truth
+        self._prompt_ports = prompt_ports
         self._jitter_rng, self._stall_rng, self._write_rng = rng.spawn(3)
         self._jitter: list[float] = []
         self._stall_ns = (origin_ns, origin_ns)
@@ -44,7 +58,9 @@ class HostLatency:
         if not self._jitter:
             self._jitter = self._jitter_rng.exponential(self._truth.jitter_s, _DRAW_BATCH).tolist()
         due = line_ns + int((self._truth.floor_s + self._jitter.pop()) * 1e9)
-        due = max(self._after_stall(due), self._last_ns.get(port, 0))
+        if port not in self._prompt_ports:
+            due = self._after_stall(due)
+        due = max(due, self._last_ns.get(port, 0))
         self._last_ns[port] = due
         return due
 

@@ -11,9 +11,17 @@ from collections.abc import Mapping, Sequence
 from gyrorig_daemon.config import PtuPort
 from gyrorig_daemon.motion.directed_perception.ptu_client import PtuClient
 from gyrorig_daemon.motion.directed_perception.unit_setup import identify_unit, set_up_unit
-from gyrorig_daemon.motion.pan_tilt_driver import AxisTarget, DriverEntry, DriverPort, Poll
+from gyrorig_daemon.motion.pan_tilt_driver import (
+    AXES_OF_ORDERS,
+    AxisTarget,
+    DriverEntry,
+    DriverPort,
+    Poll,
+    no_command_error,
+)
 from gyrorig_daemon.motion.ptu_exchange import Exchange, PtuLineCounts
 from gyrorig_daemon.motion.unit_facts import Homing, UnitFacts
+from gyrorig_protocol.motion_orders import AxisOrder, OrderKind
 from gyrorig_protocol.program import PtuSettings
 from gyrorig_protocol.ptu import (
     Axis,
@@ -28,13 +36,29 @@ from gyrorig_protocol.ptu import (
 )
 from gyrorig_protocol.ptu.dialect import Dialect
 from gyrorig_protocol.ptu.ptu_commands import (
+    AWAIT_COMPLETION,
     HALT_BOTH_AXES,
     IMMEDIATE_EXECUTION,
     QUERY_MOTION_AND_COUNTER,
     SLAVED_EXECUTION,
+    AnswerKind,
+    halt_axis,
 )
 
 NAME = "directed_perception"
+_QUANTITIES = {
+    OrderKind.TARGET: Quantity.POSITION,
+    OrderKind.OFFSET: Quantity.OFFSET,
+    OrderKind.SPEED: Quantity.SPEED,
+    OrderKind.SPEED_CHANGE: Quantity.SPEED_CHANGE,
+    OrderKind.BASE_SPEED: Quantity.BASE_SPEED,
+    OrderKind.ACCELERATION: Quantity.ACCELERATION,
+}
+_PLAIN_COMMANDS = {
+    OrderKind.COLLECT: SLAVED_EXECUTION,
+    OrderKind.START: AWAIT_COMPLETION,
+    OrderKind.IMMEDIATE: IMMEDIATE_EXECUTION,
+}
 # spaces end a truncated command
 HALT_BYTES = b"   " + HALT_BOTH_AXES.encode()
 
@@ -111,6 +135,10 @@ class DirectedPerceptionUnit:
         if together:
             send(IMMEDIATE_EXECUTION)
 
+    def send_orders(self, orders: Sequence[AxisOrder]) -> None:
+        """See `PanTiltDriver`."""
+        self.client.send_command(_command_of(orders))
+
     def poll(self) -> Poll:
         """See `PanTiltDriver`."""
         command = self._poll_command()
@@ -157,6 +185,27 @@ class DirectedPerceptionUnit:
         if latest_ns < earliest_ns:  # USB can be faster than the nominal baud rate
             return exchange.request_ns, exchange.first_byte_ns
         return earliest_ns, latest_ns
+
+
+def _command_of(orders: Sequence[AxisOrder]) -> PtuCommand:
+    """Return the command that means these orders.
+
+    Raises:
+        UsageError: there is none.
+    """
+    order = orders[0]
+    if len(orders) == len(Axis):  # both axes with their speeds
+        numbers = [round(part.value) for part in orders]
+        numbers += [round(part.speed_steps_s) for part in orders]
+        return PtuCommand("B" + ",".join(map(str, numbers)), AnswerKind.DONE)
+    axis = AXES_OF_ORDERS.get(order.axis)
+    if axis is not None and order.kind in _QUANTITIES:
+        return assign_quantity(axis, _QUANTITIES[order.kind], round(order.value))
+    if order.kind is OrderKind.HALT:
+        return HALT_BOTH_AXES if axis is None else halt_axis(axis)
+    if axis is None and order.kind in _PLAIN_COMMANDS:
+        return _PLAIN_COMMANDS[order.kind]
+    raise no_command_error(order, NAME)
 
 
 def _make(port: DriverPort) -> DirectedPerceptionUnit:
