@@ -64,13 +64,23 @@ SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
     help="The session's name: letters, digits and dashes, at most 32.  [default: random]",
 )
 @click.option(
+    "--sessions",
+    "session_count",
+    type=click.IntRange(1, 10_000),
+    default=1,
+    show_default=True,
+    metavar="NUMBER",
+    help="With --simulated-time: record this many sessions one after the other. The seed of the "
+    "session increases by 1 each time, and so does the number of --draw unless it is 0.",
+)
+@click.option(
     "--rates",
     type=YAML_FILE,
     help="With --simulated-time: write the noise-free rates of the gyroscopes to this file, with "
     "and without the hidden causes (npz).",
 )
 @emulation_flags
-@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object per session.")
 @click.pass_context
 def record_command(context: click.Context, /, **options: Any) -> None:
     r"""Record one session: identify the rig, run the program, write a recording.
@@ -90,31 +100,38 @@ def record_command(context: click.Context, /, **options: Any) -> None:
     config_text = read_document(config_path)
     config = parse_rig(config_text, config_path.name, config_path.parent)
     motion = _read_motion(options["program_path"], options["replay_path"], config)
-    request = SessionRequest(
-        config=config,
-        config_text=config_text,
-        program=motion.program,
-        program_text=motion.program_text,
-        out_dir=options["out"],
-        session=_session_name(options["session"]),
-        home=options["home"],
-        replay=motion.replay,
-        replay_sha256=motion.replay_sha256,
-    )
-    commitments: list[str] = []
+    count = options["session_count"]
+    if count > 1 and (not options["simulated_time"] or options["truth"] or options["rates"]):
+        raise UsageError(
+            "the option --sessions needs --simulated-time, and neither --truth nor --rates",
+            "remove the options that do not fit, or record one session per command",
+        )
     is_quiet = terminal.quiet or terminal.verbose or config.ptu.is_person
     shows_progress = is_interactive() and not is_quiet
+    commitments: list[str] = []
 
     def publish_commitment(sha256: str) -> None:
         commitments.append(sha256)
         print_commitment(sha256)
 
-    with _stop_by_signal() as stop, ProgressLine(shows_progress) as progress:
-        task = record_modes.RecordTask(
+    def new_task(stop: StopFlag, progress: ProgressLine, number: int) -> record_modes.RecordTask:
+        request = SessionRequest(
+            config=config,
+            config_text=config_text,
+            program=motion.program,
+            program_text=motion.program_text,
+            out_dir=options["out"],
+            session=_session_name(options["session"], number if count > 1 else None),
+            home=options["home"],
+            replay=motion.replay,
+            replay_sha256=motion.replay_sha256,
+        )
+        seeds = _seeds_of_session(options, number) if count > 1 else {}
+        return record_modes.RecordTask(
             request=request,
             config_path=config_path,
             emulation=emulation_options(
-                options | {"twin_recording": motion.twin_recording}, motion.session_s
+                options | seeds | {"twin_recording": motion.twin_recording}, motion.session_s
             ),
             program_begin_s=motion.program_begin_s,
             host=socket.gethostname(),
@@ -125,15 +142,26 @@ def record_command(context: click.Context, /, **options: Any) -> None:
             on_summary=lambda summary: _print_summary(summary, terminal),
             say=_print_line,
         )
-        if options["simulated_time"]:
-            path = record_modes.record_in_simulated_time(task)
-        else:
-            path = record_modes.record_in_real_time(task)
-    if options["as_json"]:
-        commitment = {"seal": commitments[0]} if commitments else {}
-        click.echo(json.dumps({"recording": str(path)} | commitment))
-    else:
-        click.echo(str(path))
+
+    with _stop_by_signal() as stop, ProgressLine(shows_progress) as progress:
+        for number in range(count):
+            task = new_task(stop, progress, number)
+            if options["simulated_time"]:
+                path = record_modes.record_in_simulated_time(task)
+            else:
+                path = record_modes.record_in_real_time(task)
+            if options["as_json"]:
+                commitment = {"seal": commitments.pop()} if commitments else {}
+                click.echo(json.dumps({"recording": str(path)} | commitment))
+            else:
+                click.echo(str(path))
+
+
+def _seeds_of_session(options: dict[str, Any], number: int) -> dict[str, int]:
+    """Return the options of one of several sessions; `number` counts from 0."""
+    first_seed = 1 if options["session_seed"] is None else options["session_seed"]
+    draw = options["draw"] + number if options["draw"] else 0
+    return {"session_seed": first_seed + number, "draw": draw}
 
 
 @dataclass(frozen=True, slots=True)
@@ -188,7 +216,10 @@ def _read_motion(program_path: Path | None, replay_path: Path | None, config: Ri
     )
 
 
-def _session_name(name: str | None) -> str:
+def _session_name(name: str | None, number: int | None) -> str:
+    """Return the name of a session; `number` if there are several, from 0."""
+    if name is not None and number is not None:
+        name = f"{name}-{number + 1}"
     try:
         return secrets.token_hex(4) if name is None else BoardId(name)
     except InputError as error:

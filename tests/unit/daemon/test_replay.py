@@ -140,6 +140,26 @@ def test_sessions_of_one_rig_have_independent_noise(recorded: Recording, tmp_pat
     assert noise[0].std() == pytest.approx(noise[1].std(), rel=0.2)
 
 
+def test_several_sessions_have_consecutive_seeds(
+    recorded: Recording, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["record", "--config", str(RIG), "--simulated-time", "--replay", str(recorded.path),
+             "--seed", "4"]  # fmt: skip
+    several = ["--sessions", "2", "--session-seed", "7", "--session", "s", "--json"]
+    assert run([*words, *several, "--out", str(tmp_path / "several")]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    paths = [Path(json.loads(line)["recording"]) for line in lines]
+    assert [path.stem.rpartition("_")[2] for path in paths] == ["s-1", "s-2"]
+    assert run([*words, "--session-seed", "8", "--out", str(tmp_path / "single")]) == 0
+    single = Path(capsys.readouterr().out.strip())
+    counts = [
+        recording.imu_field(recording.board_ids[0], "gyro")
+        for recording in map(read_recording, (*paths, single))
+    ]
+    assert np.array_equal(counts[1], counts[2])
+    assert not np.array_equal(counts[0], counts[2])
+
+
 @pytest.mark.parametrize(
     ("options", "message"),
     [
@@ -147,6 +167,7 @@ def test_sessions_of_one_rig_have_independent_noise(recorded: Recording, tmp_pat
         (["--program", "p.yaml", "--replay", "r.mcap"], "either a motion program or a recording"),
         (["--program", "PROGRAM", "--draw", "1"], "needs a rig file with the section `twin`"),
         (["--replay", "none.mcap"], "none.mcap"),
+        (["--program", "PROGRAM", "--sessions", "2", "--truth", "t"], "neither --truth nor"),
     ],
 )
 def test_options_that_do_not_fit_are_rejected(
