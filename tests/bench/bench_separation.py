@@ -4,7 +4,7 @@ Each session hides one cause in an emulated rig and records survey-40. Where the
 of causes, the proposed program is recorded on the same rig with other noise, and both recordings
 are explained together. A run goes on where it was stopped: each session is one line of the file.
 
-Run: python tests/bench/bench_separation.py --out separation.jsonl [--sessions 300] [--minutes 20]
+Run: python tests/bench/bench_separation.py --out separation.jsonl [--sets 50] [--minutes 20]
 """
 
 import argparse
@@ -37,7 +37,6 @@ from gyrorig_solver.plan import program_text  # noqa: E402
 
 FIRST_SEED, SECOND_SESSION = 8_400_000, 500_000
 PROGRAM = "survey-40"
-MAX_SECOND_S = 120.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,7 +88,7 @@ def draw_of(pair: str, number: int) -> tuple[RigDraw, HiddenCause]:
     return RigDraw(seed, PROGRAM, hidden.soak_k, hide=(request,)), hidden
 
 
-def judge_session(pair: str, number: int) -> dict[str, Any]:
+def judge_session(pair: str, number: int, max_second_s: float) -> dict[str, Any]:
     """Record and explain one session; where a set is stated, also the proposed program."""
     draw, hidden = draw_of(pair, number)
     row: dict[str, Any] = {"pair": pair, "number": number, "truth": hidden.cause}
@@ -101,7 +100,7 @@ def judge_session(pair: str, number: int) -> dict[str, Any]:
         explanation = explain_recordings([recording], board)
         row["before"] = stated_sets(explanation)
         begin_s = time.monotonic()
-        proposed = next_experiment([recording], explanation)
+        proposed = next_experiment([recording], explanation, None, max_second_s)
         row["plan_s"] = round(time.monotonic() - begin_s, 2)
         if proposed is None:
             return row
@@ -168,27 +167,25 @@ def read_rows(path: Path) -> list[dict[str, Any]]:
     return rows
 
 
-def run(out: Path, sets_per_pair: int, minutes: float, workers: int, only: str) -> None:
+def run(out: Path, asked: argparse.Namespace) -> None:
     """Add sessions until each pair has so many sets, or the time is over."""
     rows = read_rows(out)
-    pairs = [pair for pair in PAIRS if only in pair]
-    stop_s = time.monotonic() + 60.0 * minutes
-    numbers = {
-        pair: (n for n in count() if not any(r["pair"] == pair and r["number"] == n for r in rows))
-        for pair in pairs
-    }
+    pairs = [pair for pair in PAIRS if asked.pair in pair]
+    stop_s = time.monotonic() + 60.0 * asked.minutes
+    numbers = {pair: _new_numbers(pair, read_rows(out)) for pair in pairs}
     running: set[Future[dict[str, Any]]] = set()
-    with ProcessPoolExecutor(workers) as pool, out.open("a", encoding="utf-8") as file:
+    with ProcessPoolExecutor(asked.workers) as pool, out.open("a", encoding="utf-8") as file:
         while True:
             counts = {pair: sum(r["pair"] == pair and "after" in r for r in rows) for pair in pairs}
-            missing = [pair for pair in pairs if counts[pair] < sets_per_pair]
+            missing = [pair for pair in pairs if counts[pair] < asked.sets]
             if not missing or time.monotonic() > stop_s:
                 pending = list(running)
             else:
-                while len(running) < workers:
+                while len(running) < asked.workers:
                     pair = min(missing, key=lambda name: counts[name])
                     counts[pair] += 1
-                    running.add(pool.submit(judge_session, pair, next(numbers[pair])))
+                    future = pool.submit(judge_session, pair, next(numbers[pair]), asked.seconds)
+                    running.add(future)
                 pending = list(running)
             if not pending:
                 return
@@ -199,16 +196,22 @@ def run(out: Path, sets_per_pair: int, minutes: float, workers: int, only: str) 
                 file.flush()
 
 
+def _new_numbers(pair: str, rows: list[dict[str, Any]]) -> Iterator[int]:
+    used = {row["number"] for row in rows if row["pair"] == pair}
+    return (number for number in count() if number not in used)
+
+
 def main() -> None:
     """Run sessions and print the table."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n", maxsplit=1)[0])
-    parser.add_argument("--out", type=Path, required=True)
-    parser.add_argument("--sets", type=int, default=50, help="stated sets of each pair")
+    parser.add_argument("--out", type=Path, default=Path("separation.jsonl"))
+    parser.add_argument("--sets", type=int, default=1, help="stated sets of each pair")
     parser.add_argument("--minutes", type=float, default=1e3)
     parser.add_argument("--workers", type=int, default=1)
+    parser.add_argument("--seconds", type=float, default=120.0, help="longest second program")
     parser.add_argument("--pair", default="", help="only pairs whose name contains this")
     asked = parser.parse_args()
-    run(asked.out, asked.sets, asked.minutes, asked.workers, asked.pair)
+    run(asked.out, asked)
     sys.stdout.write("\n".join(summary_lines(read_rows(asked.out))) + "\n")
 
 

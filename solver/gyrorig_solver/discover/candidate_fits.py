@@ -124,9 +124,12 @@ def lag_series_terms(projection: NuisanceProjector) -> list[Term]:
 
 
 def fit_best_place(
-    projection: NuisanceProjector, scores: Sequence[CandidateScore]
+    projection: NuisanceProjector, scores: Sequence[CandidateScore], with_infeasible: bool = False
 ) -> tuple[FittedCandidate, float] | None:
-    """Fit one cause at each promising place; return the fit with the most evidence."""
+    """Fit one cause at each promising place; return the fit with the most evidence.
+
+    `with_infeasible`: also fits that would be better outside of what is possible.
+    """
     best_statistic = max((score.score_test.statistic for score in scores), default=0.0)
     best_separate = max(
         (score.score_test.statistic for score in scores if score.place is not None), default=-np.inf
@@ -138,7 +141,7 @@ def fit_best_place(
         if score.place is None and score.score_test.statistic < best_separate + JOINT_MARGIN:
             continue
         candidate = fit_candidate(projection, score.term, score.place, [score.template])
-        if candidate is None or candidate.infeasible:
+        if candidate is None or (candidate.infeasible and not with_infeasible):
             continue
         if best is None or candidate.log_evidence > best[0].log_evidence:
             best = candidate, score.effective_trials

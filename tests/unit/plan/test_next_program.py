@@ -10,8 +10,10 @@ from gyrorig_daemon.emulator.emulator_settings import InjectionRequest
 from gyrorig_protocol.program import parse_program
 from gyrorig_protocol.recording.reader import read_recording
 from gyrorig_protocol.recording.recording import Recording
+from gyrorig_solver.cli import run
 from gyrorig_solver.discover import FitExplanation
 from gyrorig_solver.discover.cause_ranking import nats_for_sole_name
+from gyrorig_solver.findings.findings_document import parse_findings
 from gyrorig_solver.pipeline.explain_board import explain_recordings
 from gyrorig_solver.pipeline.next_experiment import next_experiment
 from gyrorig_solver.plan import NextExperiment, program_text
@@ -19,6 +21,7 @@ from gyrorig_solver.plan.program_timeline import simulate_program
 from gyrorig_solver.plan.separation import recorded_unit
 from gyrorig_solver.plan.separation.next_program import _needed_nats
 
+RIG = Path(__file__).parents[3] / "config" / "rig.yaml"
 HIDDEN = InjectionRequest("scale_quadratic", "z", 4e-4)
 SECOND_SEED = 500_001
 SHORT_S = 40.0
@@ -104,3 +107,34 @@ def test_the_needed_distance_leaves_the_lower_tail_above_the_threshold() -> None
     threshold = nats_for_sole_name(0.0)
     needed = _needed_nats(threshold)
     assert needed - 2.6 * (2.0 * needed) ** 0.5 == pytest.approx(threshold)
+
+
+def test_the_command_writes_the_program_and_says_what_to_expect(
+    rig: AmbiguousRig, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out, program = tmp_path / "findings", tmp_path / "separate.yaml"
+    arguments = ["explain", str(rig.recording.path), "--out", str(out)]
+    assert run([*arguments, "--rig", str(RIG)]) == 0
+    printed = capsys.readouterr().out
+    beside = out / rig.board / "next-program.yaml"
+    assert f"Next: record {beside}" in printed
+    assert "It separates scale_quadratic from scale_asymmetry: expected log Bayes" in printed
+    assert parse_program(beside.read_bytes(), beside.name).description.startswith("separates")
+    assert "next-program.yaml" in (out / rig.board / "report.html").read_text(encoding="utf-8")
+    document = parse_findings((out / rig.board / "findings.yaml").read_bytes(), "findings.yaml")
+    assert document.next_experiment is not None
+    (pair,) = document.next_experiment.pairs
+    assert pair.expected_log_bayes_factor is not None
+    assert run([*arguments, "--next-program", str(program), "--next-seconds", "40"]) == 0
+    assert program.exists()
+    # An existing file is not replaced, and nothing is searched before that is known.
+    assert run([*arguments, "--next-program", str(program)]) == 2
+    assert "--next-program" in capsys.readouterr().err
+
+
+def test_the_command_proposes_nothing_if_asked(rig: AmbiguousRig, tmp_path: Path) -> None:
+    recording = str(rig.recording.path)
+    assert run(["explain", recording, "--out", str(tmp_path), "--next-seconds", "0"]) == 0
+    assert not (tmp_path / rig.board / "next-program.yaml").exists()
+    findings = (tmp_path / rig.board / "findings.yaml").read_bytes()
+    assert parse_findings(findings, "findings.yaml").next_experiment is None

@@ -185,7 +185,7 @@ def fitted_pairs(
     members = [first]
     for cause in rivals:
         term = catalogue().get(cause)
-        if term is None or term.kind != "effect":
+        if term is None or term.kind != "effect" or _is_equivalent(term, members):
             continue
         if any(term.reason_not_testable(state) is not None for state in projector.states):
             continue
@@ -193,12 +193,16 @@ def fitted_pairs(
         if fitted is not None:
             members.append(fitted.extension)
     return [
-        CausePair(first, second, named)
-        for k, second in enumerate(members)
-        for first in members[:k]
-        if second.term.cause not in first.term.equivalent_causes
-        and first.term.cause not in second.term.equivalent_causes
+        CausePair(first, second, named) for k, second in enumerate(members) for first in members[:k]
     ]
+
+
+def _is_equivalent(term: Term, members: Sequence[FittedTerm]) -> bool:
+    """Return whether a cause is the same function as one of some others, on its axis."""
+    return any(
+        term.cause in member.term.equivalent_causes or member.term.cause in term.equivalent_causes
+        for member in members
+    )
 
 
 def pair_products(solution: ConvergedFit, pairs: Sequence[CausePair]) -> list[PairProducts]:
@@ -297,8 +301,12 @@ def expected_nats(
 
 
 def _fit_rival(projector: NuisanceProjector, term: Term) -> FittedCandidate | None:
+    """Return the best fit of a rival, also where values beyond its bounds would be better.
+
+    With noise such a rival can stay within its bounds.
+    """
     scores = scan_catalogue(projector, [term], 1, all_templates(projector, term))
-    best = fit_best_place(projector, scores)
+    best = fit_best_place(projector, scores, with_infeasible=True)
     return None if best is None else best[0]
 
 
