@@ -116,10 +116,11 @@ def test_the_command_writes_the_program_and_says_what_to_expect(
     arguments = ["explain", str(rig.recording.path), "--out", str(out)]
     assert run([*arguments, "--rig", str(RIG)]) == 0
     printed = capsys.readouterr().out
-    beside = out / rig.board / "next-program.yaml"
-    assert f"Next: record {beside}" in printed
+    program_path = out / rig.board / "next-program.yaml"
+    assert f"Next: record {program_path}" in printed
     assert "It separates scale_quadratic from scale_asymmetry: expected log Bayes" in printed
-    assert parse_program(beside.read_bytes(), beside.name).description.startswith("separates")
+    proposed = parse_program(program_path.read_bytes(), program_path.name)
+    assert proposed.description.startswith("separates")
     assert "next-program.yaml" in (out / rig.board / "report.html").read_text(encoding="utf-8")
     document = parse_findings((out / rig.board / "findings.yaml").read_bytes(), "findings.yaml")
     assert document.next_experiment is not None
