@@ -7,6 +7,7 @@ search alone.
 from collections.abc import Sequence
 from dataclasses import replace
 
+from gyrorig_protocol.errors import UsageError
 from gyrorig_protocol.recording.recording import Recording
 from gyrorig_solver.discover import FitExplanation
 from gyrorig_solver.pipeline.board_results import BoardExplanation
@@ -22,12 +23,19 @@ def with_next_experiment(
     unit: UnitModel | None = None,
     max_duration_s: float = MAX_PROGRAM_S,
 ) -> BoardExplanation:
-    """Return an explanation with the proposed program; arguments as for `next_experiment`."""
+    """Return an explanation with the proposed program; arguments as for `next_experiment`.
+
+    If the unit allows none of the motions, a remark states why.
+    """
     if explanation.fit_explanation is None or max_duration_s <= 0.0:
         return explanation
-    proposed = next_experiment(
-        explanation.recordings, explanation.fit_explanation, unit, max_duration_s
-    )
+    try:
+        proposed = next_experiment(
+            explanation.recordings, explanation.fit_explanation, unit, max_duration_s
+        )
+    except UsageError as fault:
+        remark = f"no motion program is proposed, because {fault.problem}"
+        return replace(explanation, remarks=(*explanation.remarks, remark))
     return replace(explanation, next_experiment=proposed)
 
 

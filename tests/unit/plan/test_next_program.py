@@ -7,6 +7,7 @@ import pytest
 from tests.hidden.truth.session import RecordedSession, RigDraw, record
 
 from gyrorig_daemon.emulator.emulator_settings import InjectionRequest
+from gyrorig_protocol.identity import BoardId
 from gyrorig_protocol.program import parse_program
 from gyrorig_protocol.recording.reader import read_recording
 from gyrorig_protocol.recording.recording import Recording
@@ -14,8 +15,10 @@ from gyrorig_solver.cli import run
 from gyrorig_solver.discover import FitExplanation
 from gyrorig_solver.discover.cause_ranking import nats_for_sole_name
 from gyrorig_solver.findings.findings_document import parse_findings
+from gyrorig_solver.pipeline import explain_boards
+from gyrorig_solver.pipeline.board_results import BoardExplanation
 from gyrorig_solver.pipeline.explain_board import explain_recordings
-from gyrorig_solver.pipeline.next_experiment import next_experiment
+from gyrorig_solver.pipeline.next_experiment import next_experiment, with_next_experiment
 from gyrorig_solver.plan import NextExperiment, program_text
 from gyrorig_solver.plan.program_timeline import simulate_program
 from gyrorig_solver.plan.separation import recorded_unit
@@ -98,9 +101,40 @@ def test_no_program_without_a_set(rig: AmbiguousRig) -> None:
     assert next_experiment([rig.recording], explanation) is None
 
 
-def test_no_program_for_a_unit_that_the_recording_does_not_describe(rig: AmbiguousRig) -> None:
-    unit_unknown = replace(rig.recording, metadata={**rig.recording.metadata, "gyrorig.ptu": {}})
-    assert next_experiment([unit_unknown], rig.explanation) is None
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"dialect": "unknown"},
+        {"pan_max_steps": "-4000"},
+        {"pan_max_steps": "9" * 40},
+        {"tilt_resolution_arcsec": "nan"},
+        {"pan_acceleration": "0"},
+        {"pan_base_speed": "inf"},
+        {"tilt_upper_speed": "1"},
+        {"baud": "0"},
+    ],
+)
+def test_no_program_for_a_unit_that_the_recording_does_not_describe(
+    rig: AmbiguousRig, change: dict[str, str]
+) -> None:
+    metadata = {**rig.recording.metadata["gyrorig.ptu"], **change}
+    assert recorded_unit(metadata) is None
+    recording = replace(rig.recording, metadata={"gyrorig.ptu": metadata})
+    assert next_experiment([recording], rig.explanation) is None
+    assert recorded_unit({}) is None
+
+
+def test_a_unit_without_room_is_a_remark(rig: AmbiguousRig) -> None:
+    unit = recorded_unit(rig.recording.metadata["gyrorig.ptu"])
+    assert unit is not None
+    slow = replace(unit, pan=replace(unit.pan, slowest_deg_s=100.0))
+    (explained,) = (
+        with_next_experiment(explanation, slow)
+        for _, explanation in explain_boards({BoardId(rig.board): [rig.recording]})
+        if isinstance(explanation, BoardExplanation)
+    )
+    assert explained.next_experiment is None
+    assert "no motion program is proposed" in explained.remarks[-1]
 
 
 def test_the_needed_distance_leaves_the_lower_tail_above_the_threshold() -> None:

@@ -208,7 +208,7 @@ def _is_equivalent(term: Term, members: Sequence[FittedTerm]) -> bool:
 def pair_products(solution: ConvergedFit, pairs: Sequence[CausePair]) -> list[PairProducts]:
     """Return the products of each pair's signals in the recordings of a fit.
 
-    The pairs belong to one cause of the fit. With one recording bias and time offset are remaining.
+    The pairs belong to one cause of the fit. With one recording bias and time offset stay in them.
     """
     named = pairs[0].named
     projector = NuisanceProjector.of_effect(solution, named, None, solution.noises)

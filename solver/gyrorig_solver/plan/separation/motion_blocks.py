@@ -20,6 +20,7 @@ DWELL_S = 0.3  # after each move: the mechanics ring down
 STAIR_DWELL_S = 1.0
 REST_LENGTHS_S = (20.0, 50.0, 80.0, 110.0)
 SPEED_SHARES = (1.0, 0.55, 0.25, 0.1)
+MIN_SPEED_DEG_S = 2.0
 MAX_SWEEP_S = 5.0  # one way: the slower, the shorter
 PASSES = (1, 4)  # to both ends
 REVERSALS, REVERSAL_DEG = 6, 15.0
@@ -147,7 +148,7 @@ def _path(
 
 
 def _speed(fastest_deg_s: float, share: float) -> float:
-    return max(2.0, int(fastest_deg_s * share * 10.0) / 10.0)
+    return max(MIN_SPEED_DEG_S, int(fastest_deg_s * share * 10.0) / 10.0)
 
 
 def _limited(limits: tuple[float, float], angle_deg: float) -> float:

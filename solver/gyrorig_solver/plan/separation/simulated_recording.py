@@ -18,10 +18,13 @@ from gyrorig_solver.estimate import ConvergedFit, Series, SessionFit
 from gyrorig_solver.model import BoardTemperature, RecordingContext
 from gyrorig_solver.plan.prediction import simulate_reference
 from gyrorig_solver.plan.program_timeline import simulate_program
+from gyrorig_solver.plan.separation.motion_blocks import MIN_SPEED_DEG_S
 from gyrorig_solver.plan.unit_model import ARCSEC_PER_DEG, AxisModel, UnitModel, build_unit_model
 from gyrorig_solver.reference import PanTiltReference
 
 SIMULATED_NAME = "next-program"
+MAX_STEPS = 1e6  # per second or second squared; more is no unit
+MAX_ANGLE_DEG = 360.0
 
 
 def recorded_unit(metadata: Mapping[str, str]) -> UnitModel | None:
@@ -39,10 +42,15 @@ def recorded_unit(metadata: Mapping[str, str]) -> UnitModel | None:
         base_speed, acceleration = (
             float(metadata[f"pan_{name}"]) for name in ("base_speed", "acceleration")
         )
-    except (KeyError, ValueError):
+    except (KeyError, ValueError, ZeroDivisionError):
         return None
-    if not all(axis.low_deg < axis.high_deg for axis in (pan, tilt)):
+    if not 0.0 <= base_speed < MAX_STEPS or not 0.0 < acceleration < MAX_STEPS:
         return None
+    for axis in (pan, tilt):
+        if not -MAX_ANGLE_DEG <= axis.low_deg < axis.high_deg <= MAX_ANGLE_DEG:
+            return None
+        if axis.fastest_deg_s <= MIN_SPEED_DEG_S:
+            return None
     return replace(
         model,
         pan=pan,
