@@ -47,7 +47,7 @@ from gyrorig_solver.reference import PanTiltReference
 MAX_PROGRAM_S = 120.0
 PROGRAM_NAME = "next-program"
 DECISION_SIGMA = 2.6  # deviations of the log Bayes factor below its mean: 0.5 % fall below
-MIN_PROBABILITY = 0.25  # of the best pair; a program that promises less is not proposed
+MIN_PROBABILITY = 0.05  # of the best pair; a program that promises less is not proposed
 MIN_ADDED_NATS = 0.1  # by a block
 USABLE_RANGE_SHARE = 0.9  # of the full scale of the gyroscope
 ACCELERATION_SHARES = (1.0, 0.5)  # of that of the recording
