@@ -44,6 +44,7 @@ DOCUMENTS = (
         "SensorProfile",
     ),
     ("Rig, `gyrorig/rig/1`", "gyrorig_daemon.config.rig_document", "RigConfig"),
+    ("Twin, `gyrorig/twin/1`, in a rig", "gyrorig_protocol.twin.twin_document", "Twin"),
 )
 # What a program may rely on: module and names.
 PYTHON = (

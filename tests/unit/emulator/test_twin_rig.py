@@ -1,6 +1,7 @@
 """A rig of a twin: devices, draws, and what it does not have."""
 
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,10 @@ from gyrorig_daemon.config import parse_rig
 from gyrorig_daemon.emulator.emulated_rig import EmulatedRig
 from gyrorig_daemon.emulator.emulator_settings import BoardSettings, PtuSettings, RigSettings
 from gyrorig_daemon.emulator.injection import parse_injection
+from gyrorig_daemon.emulator.physics.host_latency import LatencyTruth
+from gyrorig_daemon.emulator.rig_truth import sample_rig_truth
 from gyrorig_daemon.emulator.twin import draw_twin, make_twin_rig
+from gyrorig_daemon.emulator.twin.twin_devices import link_delay_s
 from gyrorig_protocol.documents import dump_yaml
 from gyrorig_protocol.errors import UsageError
 from gyrorig_protocol.twin import Twin, twin_to_plain
@@ -78,7 +82,18 @@ def test_early_samples_have_early_timestamps() -> None:
     board = made.truth.boards["GY80-1"]
     lag_s = np.sqrt(2.0) / (2.0 * np.pi * board.imu.bandwidth_hz)
     assert board.imu.tau_s == 0.0
-    assert board.stamp_early_s == pytest.approx(4e-3 + lag_s)
+    link_s = link_delay_s(made.settings.boards[0], board, made.truth.latency)
+    assert board.stamp_early_s == pytest.approx(4e-3 + lag_s + link_s)
+
+
+def test_the_link_is_not_counted_twice_in_the_time_offset() -> None:
+    latency = LatencyTruth(floor_s=60e-6, write_floor_s=50e-6)
+    exchanges = BoardSettings(baud=115200)
+    truth = sample_rig_truth(RigSettings(boards=(exchanges,))).boards[exchanges.name]
+    assert link_delay_s(exchanges, truth, latency) == pytest.approx(699.4e-6, abs=1e-6)
+    one_way = replace(exchanges, format="text", text_time=True)
+    assert 2e-3 < link_delay_s(one_way, truth, latency) < 5e-3
+    assert link_delay_s(replace(exchanges, bus="can0"), truth, latency) == 0.0
 
 
 def test_causes_that_cannot_be_emulated_are_named() -> None:

@@ -41,7 +41,7 @@ from gyrorig_protocol.board.json_frames import Set
 FloatArray = NDArray[np.float64]
 
 # Six bytes of gyro and six of accelerometer over I2C at 400 kHz, 0.21 ms each.
-_BUS_READ_NS = 420_000
+BUS_READ_NS = 420_000
 _ANSWER_NS = 200_000  # period of the firmware's input loop
 _BOOT = 12
 _SUPPLY_MV = 3300
@@ -214,10 +214,10 @@ class EmulatedBoard:
                 )
             stamp = self.clock.ticks(last_ns - self._stamp_early_ns)
             data = self._encoder.encode(block, row, step, number, stamp)
-            frames.append((last_ns + _BUS_READ_NS, data))
+            frames.append((last_ns + BUS_READ_NS, data))
         faulty = inject_line_faults(self.settings.faults, self._first_frame, frames)
         # Without frames there is still a time at which the next block starts.
-        self._frames = deque((faulty or [(stamped_ns[-1] + _BUS_READ_NS, b"")])[sent:])
+        self._frames = deque((faulty or [(stamped_ns[-1] + BUS_READ_NS, b"")])[sent:])
 
     def _sample_lost_frames(self, frames: int) -> NDArray[np.bool_]:
         """Return which frames of the next block are lost, (frames,)."""

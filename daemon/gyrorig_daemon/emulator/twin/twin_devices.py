@@ -5,6 +5,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from gyrorig_daemon.emulator.board.emulated_board import BUS_READ_NS
+from gyrorig_daemon.emulator.board.emulated_protocol import find_emulated_protocol
+from gyrorig_daemon.emulator.emulated_line import byte_ns
 from gyrorig_daemon.emulator.emulator_settings import BoardSettings, PtuSettings
 from gyrorig_daemon.emulator.physics.device_clock import ClockTruth
 from gyrorig_daemon.emulator.physics.host_latency import LatencyTruth
@@ -12,7 +15,14 @@ from gyrorig_daemon.emulator.physics.imu import ImuTruth
 from gyrorig_daemon.emulator.physics.lowpass import butterworth_delay_s
 from gyrorig_daemon.emulator.physics.rotation import rotation_matrix
 from gyrorig_daemon.emulator.physics.temperature import BoardTemperature, TemperatureCurve
-from gyrorig_daemon.emulator.rig_truth import DEG, GYRO_MDPS_PER_COUNT, BoardTruth
+from gyrorig_daemon.emulator.rig_truth import (
+    ACCEL_COUNTS_PER_G,
+    COUNTER_MODULUS,
+    DEG,
+    GYRO_MDPS_PER_COUNT,
+    BoardTruth,
+)
+from gyrorig_protocol.board.board_frames import Sample, TimeReply, TimeRequest
 from gyrorig_protocol.twin import (
     Scalar,
     TwinBoard,
@@ -143,6 +153,29 @@ def reference_rise_k(board: TwinBoard, imu: ImuTruth, session_s: tuple[float, fl
     return stated - model.power_up_degc
 
 
+def link_delay_s(settings: BoardSettings, truth: BoardTruth, latency: LatencyTruth) -> float:
+    """Return the part of a fitted time offset that the link of a board causes.
+
+    A host maps the clock of a board by exchanges, and is wrong by half the difference of the two
+    shortest latencies. Without exchanges, it is wrong by the shortest latency of a sample, which is
+    that of a sample at rest if its length depends on its numbers.
+    """
+    if settings.bus:
+        return 0.0  # the edge of a frame is one event for both
+    protocol = find_emulated_protocol(settings.format)
+    byte_s = byte_ns(settings.baud) * 1e-9
+    if protocol.make_parser() is None:
+        x, y, z = np.rint(truth.imu.bias_rad_s / truth.imu.gyro_scale_rad_s).astype(int).tolist()
+        ticks = truth.clock.start_ticks % COUNTER_MODULUS
+        sample = Sample(0, 1, ticks, (x, y, z), (0, 0, round(ACCEL_COUNTS_PER_G)), 250)
+        sample_bytes = len(protocol.encode(sample, settings))
+        return BUS_READ_NS * 1e-9 + sample_bytes * byte_s + latency.floor_s
+    request_bytes = len(TimeRequest(1, 1).encode())
+    reply_bytes = len(protocol.encode(TimeReply(1, 1, 1, 1), settings))
+    difference_s = (reply_bytes - request_bytes) * byte_s
+    return 0.5 * (difference_s + latency.floor_s - latency.write_floor_s)
+
+
 def _temperature_curve(board: TwinBoard, zero_s: float) -> TemperatureCurve | None:
     if board.temperature is None:
         return None
@@ -177,7 +210,7 @@ def without_turn(board: BoardTruth, turn_rad: FloatArray) -> BoardTruth:
 
 
 def with_delay(board: BoardTruth, delay_s: float) -> BoardTruth:
-    """Return a board with a total delay, with that of the low-pass.
+    """Return a board with a total delay, with that of the low-pass and without that of the link.
 
     Samples cannot be earlier than the motion, therefore early ones have early timestamps.
     """

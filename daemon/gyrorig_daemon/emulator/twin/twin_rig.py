@@ -29,6 +29,7 @@ from gyrorig_daemon.emulator.twin.twin_devices import (
     board_settings,
     clock_truth,
     latency_truth,
+    link_delay_s,
     reference_rise_k,
     starting_earlier,
     unit_settings,
@@ -106,11 +107,14 @@ def make_twin_rig(twin: Twin, settings: RigSettings, recording: str | None = Non
     if settings.ptu is not None:
         start_delay_s = sum(part.start_delay_s for _, part in carried)
         settings = replace(settings, ptu=starting_earlier(settings.ptu, start_delay_s))
+    latency = latency_truth(twin.link)
+    for board in settings.boards:
+        delays_s[board.name] += link_delay_s(board, plain_boards[board.name], latency)
     unit_clock = None if twin.unit is None else twin.unit.counter
     plain = replace(
         sampled,
         controller_clock=clock_truth(unit_clock, sampled.controller_clock),
-        latency=latency_truth(twin.link),
+        latency=latency,
         boards={
             name: with_delay(board, boards[name].time_offset.value - delays_s[name])
             for name, board in plain_boards.items()
