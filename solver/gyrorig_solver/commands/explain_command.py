@@ -14,6 +14,7 @@ from gyrorig_solver.commands.board_selection import select_boards
 from gyrorig_solver.commands.terminal import NOT_IDENTIFIABLE, PARTIAL, Terminal, json_option
 from gyrorig_solver.findings import FindingsDocument, findings_summary, next_experiment_lines
 from gyrorig_solver.findings.findings_document import to_plain
+from gyrorig_solver.model.catalogue import find_term
 from gyrorig_solver.pipeline import WrittenFindings, explain_boards, write_explanation
 from gyrorig_solver.pipeline.next_experiment import with_next_experiment
 from gyrorig_solver.plan import MAX_PROGRAM_S, load_rig, require_new_path
@@ -44,6 +45,14 @@ from gyrorig_solver.plan import MAX_PROGRAM_S, load_rig, require_new_path
     help="The longest motion program to propose where a set of causes is stated; 0: propose none.",
 )
 @click.option(
+    "--next-cause",
+    "next_causes",
+    multiple=True,
+    metavar="CAUSE",
+    help="Also propose a motion program that shows this cause of the catalogue at its typical "
+    "size. Can be repeated.  [default: none]",
+)
+@click.option(
     "--next-program",
     type=click.Path(path_type=Path, dir_okay=False),
     help="The new file of the proposed motion program.  [default: OUT/<board>/next-program.yaml]",
@@ -64,6 +73,7 @@ def explain_command(
     out: Path,
     held_out: Path | None,
     next_seconds: float,
+    next_causes: tuple[str, ...],
     next_program: Path | None,
     rig_path: Path | None,
 ) -> int:
@@ -86,6 +96,8 @@ def explain_command(
       gyrorig explain demo/session.mcap --out findings
       gyrorig explain monday.mcap --held-out tuesday.mcap
     """
+    for cause in next_causes:
+        find_term(cause)
     unit = None if rig_path is None else load_rig(rig_path).unit
     if next_program is not None:
         require_new_path(next_program, "--next-program")
@@ -115,7 +127,7 @@ def explain_command(
             if isinstance(explanation, GyrorigError):
                 raise explanation
             terminal.print_progress(f"planning the next experiment of {name}")
-            planned = with_next_experiment(explanation, unit, next_seconds)
+            planned = with_next_experiment(explanation, unit, next_seconds, next_causes)
             written.append(write_explanation(out, planned, next_program))
             terminal.print_result(findings_text(written[-1]))
         except GyrorigError as fault:

@@ -125,7 +125,7 @@ class NuisanceProjector(NuisanceSpace):
     def of_effect(
         cls,
         solution: ConvergedFit,
-        replaced_term: FittedTerm,
+        replaced_term: FittedTerm | None,
         cause: FittedTerm | None,
         noises: Sequence[NoiseModel],
     ) -> Self:
@@ -136,14 +136,15 @@ class NuisanceProjector(NuisanceSpace):
 
         Args:
             solution: a fit with `replaced_term`; the samples themselves are not used.
-            replaced_term: the cause of the fit that is taken out.
+            replaced_term: the cause of the fit that is taken out; None: none.
             cause: the cause whose effect is the residual; None: the residual is zero.
             noises: of each recording.
         """
-        others = remaining_terms(solution, [replaced_term])
+        replaced_terms = [] if replaced_term is None else [replaced_term]
+        others = remaining_terms(solution, replaced_terms)
         segments = [
             replace(segment, residuals=_effect_of(cause, others, segment))
-            for segment in build_segments(solution, [replaced_term], noises)
+            for segment in build_segments(solution, replaced_terms, noises)
         ]
         basis, local, prior = nuisance_basis(solution, segments, others)
         prior = replace(

@@ -149,9 +149,9 @@ class DetectableEntry(_Document, frozen=True, omit_defaults=True):
 
 
 class NextPairEntry(_Document, frozen=True):
-    """What a proposed program is expected to say about two causes."""
+    """What a proposed program is expected to say about two causes, or about one."""
 
-    causes: list[str]
+    causes: list[str]  # one: it is compared with nothing
     expected_log_bayes_factor: float | None  # nats, the smaller of both truths
     probability: float | None  # that the truth becomes the only name
 

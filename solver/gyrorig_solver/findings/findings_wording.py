@@ -183,21 +183,32 @@ def next_experiment_lines(document: FindingsDocument) -> list[str]:
     proposed = document.next_experiment
     if proposed is None:
         return []
-    lines, open_pairs = [], []
+    lines: list[str] = []
+    open_pairs: list[str] = []
+    hidden: list[str] = []
     for pair in proposed.pairs:
-        names = f"{pair.causes[0]} from {pair.causes[1]}"
+        is_alone = len(pair.causes) == 1
+        names = pair.causes[0] if is_alone else " from ".join(pair.causes)
         is_hopeless = not pair.probability or pair.probability < MIN_SEPARATION_PROBABILITY
         if proposed.program is None or is_hopeless:
-            open_pairs.append(names)
+            (hidden if is_alone else open_pairs).append(names)
+            continue
+        if is_alone:
+            lines.append(
+                f"It shows {names} of the typical size: expected log Bayes factor "
+                f"{format_short(pair.expected_log_bayes_factor or 0.0)}, found with a probability "
+                f"of {_percent_text(pair.probability or 0.0)}."
+            )
             continue
         lines.append(
             f"It separates {names}: expected log Bayes factor "
             f"{format_short(pair.expected_log_bayes_factor or 0.0)}, one name with a probability "
             f"of {_percent_text(pair.probability or 0.0)}."
         )
-    if open_pairs:
-        limit = "" if proposed.longest_s is None else f" of at most {proposed.longest_s:g} s"
-        lines.append(f"No motion program{limit} is sure to separate {', '.join(open_pairs)}.")
+    limit = "" if proposed.longest_s is None else f" of at most {proposed.longest_s:g} s"
+    for verb, names_left in (("separate", open_pairs), ("show", hidden)):
+        if names_left:
+            lines.append(f"No motion program{limit} is sure to {verb} {', '.join(names_left)}.")
     return lines
 
 

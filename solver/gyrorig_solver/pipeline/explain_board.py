@@ -175,10 +175,13 @@ def program_document(explanation: BoardExplanation) -> str | None:
     proposed = explanation.next_experiment
     if proposed is None or proposed.program is None:
         return None
-    pairs = ", ".join(
-        " from ".join(outlook.causes) for outlook in proposed.outlooks if outlook.is_separated
+    verbs = {1: "shows", 2: "separates"}
+    purposes = ", ".join(
+        f"{verbs[len(outlook.causes)]} {' from '.join(outlook.causes)}"
+        for outlook in proposed.outlooks
+        if outlook.is_separated
     )
-    return program_text(msgspec.structs.replace(proposed.program, description=f"separates {pairs}"))
+    return program_text(msgspec.structs.replace(proposed.program, description=purposes))
 
 
 def findings_page(explanation: BoardExplanation) -> tuple[FindingsDocument, str]:

@@ -22,6 +22,7 @@ def with_next_experiment(
     explanation: BoardExplanation,
     unit: UnitModel | None = None,
     max_duration_s: float = MAX_PROGRAM_S,
+    unseen: Sequence[str] = (),
 ) -> BoardExplanation:
     """Return an explanation with the proposed program; arguments as for `next_experiment`.
 
@@ -31,7 +32,7 @@ def with_next_experiment(
         return explanation
     try:
         proposed = next_experiment(
-            explanation.recordings, explanation.fit_explanation, unit, max_duration_s
+            explanation.recordings, explanation.fit_explanation, unit, max_duration_s, unseen
         )
     except UsageError as fault:
         remark = f"no motion program is proposed, because {fault.problem}"
@@ -44,6 +45,7 @@ def next_experiment(
     explanation: FitExplanation,
     unit: UnitModel | None = None,
     max_duration_s: float = MAX_PROGRAM_S,
+    unseen: Sequence[str] = (),
 ) -> NextExperiment | None:
     """Return the program that separates ambiguous causes; None where it is not needed.
 
@@ -52,8 +54,9 @@ def next_experiment(
         explanation: the search for causes in these recordings.
         unit: with the limits of the rig; by default the unit as the last recording describes it.
         max_duration_s: of the program.
+        unseen: causes that the program must show at their typical size.
     """
     metadata = recordings[-1].metadata.get(PTU_METADATA)
     if unit is None and metadata is not None:
         unit = recorded_unit(metadata)
-    return None if unit is None else propose_program(explanation, unit, max_duration_s)
+    return None if unit is None else propose_program(explanation, unit, max_duration_s, unseen)

@@ -137,6 +137,25 @@ def test_a_unit_without_room_is_a_remark(rig: AmbiguousRig) -> None:
     assert "no motion program is proposed" in explained.remarks[-1]
 
 
+def test_a_program_shows_a_cause_that_the_recording_does_not(rig: AmbiguousRig) -> None:
+    """survey-40 shows a step size of tilt from 0.0012 on; its typical size is 0.001."""
+    proposed = next_experiment([rig.recording], rig.explanation, unseen=["step_resolution"])
+    assert proposed is not None
+    by_causes = {outlook.causes: outlook for outlook in proposed.outlooks}
+    assert by_causes[("step_resolution",)].is_separated
+    assert len(by_causes) == 2
+
+
+def test_no_motion_shows_a_single_event_or_a_cause_that_is_in_the_fit(rig: AmbiguousRig) -> None:
+    hidden = ["bias_step", "scale_quadratic", "clock_offset", "earth_rotation"]
+    proposed = next_experiment([rig.recording], rig.explanation, unseen=hidden)
+    assert proposed is not None
+    pair, *alone = proposed.outlooks
+    assert pair.is_separated
+    assert [outlook.causes for outlook in alone] == [(cause,) for cause in hidden]
+    assert not any(outlook.is_separated for outlook in alone)
+
+
 def test_the_needed_distance_leaves_the_lower_tail_above_the_threshold() -> None:
     threshold = nats_for_sole_name(0.0)
     needed = _needed_nats(threshold)
@@ -165,6 +184,18 @@ def test_the_command_writes_the_program_and_says_what_to_expect(
     # An existing file is not replaced, and nothing is searched before that is known.
     assert run([*arguments, "--next-program", str(program)]) == 2
     assert "--next-program" in capsys.readouterr().err
+
+
+def test_the_command_states_what_no_motion_shows(
+    rig: AmbiguousRig, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    arguments = ["explain", str(rig.recording.path), "--out", str(tmp_path)]
+    causes = ["--next-cause", "bias_step", "--next-cause", "step_resolution"]
+    assert run([*arguments, *causes]) == 0
+    printed = capsys.readouterr().out
+    assert "is sure to show bias_step" in printed
+    assert "It shows step_resolution of the typical size" in printed
+    assert run([*arguments, "--next-cause", "nothing"]) == 2
 
 
 def test_the_command_proposes_nothing_if_asked(rig: AmbiguousRig, tmp_path: Path) -> None:

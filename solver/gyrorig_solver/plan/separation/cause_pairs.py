@@ -9,8 +9,9 @@ program. The exact distance, with the causes' Occam factors, judges it.
 A cause of a board or of a unit has one value in all recordings. A cause of a recording has its own
 value in each, therefore the old recordings do not help to exclude it in the new one.
 
-What to use when: `fitted_pairs` for the causes of a set; `FirstOrder` with the `pair_products` of
-recordings to choose a program; `expected_nats` for the figure that is stated.
+What to use when: `fitted_pairs` for the causes of a set, `unseen_cause` for one alone;
+`FirstOrder` with the `pair_products` of recordings to choose a program; `expected_nats` for the
+figure that is stated.
 """
 
 from collections.abc import Sequence
@@ -34,27 +35,45 @@ from gyrorig_solver.estimate import (
     join_signals,
 )
 from gyrorig_solver.estimate.nuisance_space import OtherData
-from gyrorig_solver.model import Term, recording_index_of, value_parameters
+from gyrorig_solver.model import (
+    Term,
+    recording_index_of,
+    start_values,
+    value_indices,
+    value_parameters,
+)
 from gyrorig_solver.model.catalogue import catalogue
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CausePair:
-    """Two causes that may explain the same effect, each with its fitted values."""
+    """Two causes that may explain the same effect, or one that no recording can show yet."""
 
-    first: FittedTerm
-    second: FittedTerm
-    named: FittedTerm  # the cause of the fit that is one of the set
+    first: FittedTerm  # with its fitted values; a cause alone has its typical size
+    second: FittedTerm | None  # with its fitted values; None: the first is compared with nothing
+    named: FittedTerm | None  # the cause of the fit that is one of the set
 
     @property
-    def causes(self) -> tuple[str, str]:
+    def causes(self) -> tuple[str, ...]:
         """The causes' ids."""
-        return self.first.term.cause, self.second.term.cause
+        return tuple(member.term.cause for member in self.members)
 
     @property
-    def both_ways(self) -> tuple[tuple[FittedTerm, FittedTerm], ...]:
-        """The truth and its rival, for both truths."""
+    def members(self) -> tuple[FittedTerm, ...]:
+        """The causes with their values."""
+        return (self.first,) if self.second is None else (self.first, self.second)
+
+    @property
+    def both_ways(self) -> tuple[tuple[FittedTerm, FittedTerm | None], ...]:
+        """The truth and its rival, for each truth."""
+        if self.second is None:
+            return ((self.first, None),)
         return (self.first, self.second), (self.second, self.first)
+
+    @property
+    def size_count(self) -> int:
+        """The number of fitted values of the first cause."""
+        return int(self.first.free_indices.size)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -104,13 +123,17 @@ class PairProducts:
         signals = self._of_signals(prior_std)
         return 0.5 * max(float(signals[self.first_count, self.first_count]), float(signals[-1, -1]))
 
-    def left_nats(self, rival_is_first: bool, rival: FittedTerm, prior_std: FloatArray) -> float:
+    def left_nats(
+        self, rival_is_first: bool, rival: FittedTerm | None, prior_std: FloatArray
+    ) -> float:
         """Return half the squared distance between an effect and the best fit of a rival."""
         signals = self._of_signals(prior_std)
         derivatives = self._derivatives(rival_is_first)
         difference = np.zeros(len(signals))
         difference[self.first_count], difference[-1] = 1.0, -1.0
         product = signals @ difference
+        if rival is None:
+            return 0.5 * float(difference @ product)
         curvature = signals[np.ix_(derivatives, derivatives)] + np.diag(_prior_precision(rival))
         step = np.linalg.lstsq(curvature, product[derivatives], rcond=None)[0]
         return 0.5 * max(0.0, float(difference @ product - product[derivatives] @ step))
@@ -150,9 +173,9 @@ def judged_by_typical_noise(solution: ConvergedFit) -> ConvergedFit:
     return replace(solution, noises=tuple(limit_to_typical(noise) for noise in solution.noises))
 
 
-def own_recordings(solution: ConvergedFit, term: Term) -> ConvergedFit:
+def own_recordings(solution: ConvergedFit, cause: FittedTerm | None) -> ConvergedFit:
     """Return a fit with the recordings in which a cause can act."""
-    number = recording_index_of(term)
+    number = None if cause is None else recording_index_of(cause.term)
     if number is None:
         return solution
     return replace(
@@ -179,7 +202,7 @@ def fitted_pairs(
         named: the cause of the fit.
         rivals: the others of the set; what a motion cannot show is left out.
     """
-    solution = own_recordings(solution, named.term)
+    solution = own_recordings(solution, named)
     first = replace(named, term=catalogue()[named.term.cause], other_boards_prior=None)
     projector = NuisanceProjector.of_effect(solution, named, first, solution.noises)
     members = [first]
@@ -195,6 +218,23 @@ def fitted_pairs(
     return [
         CausePair(first, second, named) for k, second in enumerate(members) for first in members[:k]
     ]
+
+
+def unseen_cause(solution: ConvergedFit, cause: str) -> CausePair | None:
+    """Return a cause at its typical size, to be compared with nothing.
+
+    None if no motion shows it, or it happens once, or it is in the fit.
+    """
+    term = catalogue()[cause]
+    projector = NuisanceProjector.of_effect(solution, None, None, solution.noises)
+    reasons = [term.reason_not_testable(state) for state in projector.states]
+    is_fitted = any(fitted.term.cause == cause for fitted in solution.fitted_terms)
+    if term.kind != "effect" or any(reasons) or is_fitted or value_indices(term, role="event"):
+        return None
+    sizes = value_indices(term, role="size")
+    values = start_values(term)
+    values[sizes] = [value_parameters(term)[k].typical_size for k in sizes]
+    return CausePair(FittedTerm(term, values, np.array(sizes, dtype=np.int64)), None, None)
 
 
 def _is_equivalent(term: Term, members: Sequence[FittedTerm]) -> bool:
@@ -218,9 +258,11 @@ def pair_products(solution: ConvergedFit, pairs: Sequence[CausePair]) -> list[Pa
         signals = join_signals(
             [
                 projector.term_derivatives(cause.term, cause.values, cause.free_indices)
-                for cause in (pair.first, pair.second)
+                for cause in pair.members
             ]
         ).dense()
+        if pair.second is None:
+            signals = np.vstack([signals, np.zeros((1, signals.shape[1]))])
         nothing = OtherData(
             np.zeros((len(board) + len(signals),) * 2),
             np.zeros((space.shared_count, len(board) + len(signals))),
@@ -231,8 +273,8 @@ def pair_products(solution: ConvergedFit, pairs: Sequence[CausePair]) -> list[Pa
             PairProducts(
                 information,
                 SESSION_PARAMETERS * len(solution.sessions),
-                pair.first.free_indices.size,
-                pair.second.free_indices.size,
+                pair.size_count,
+                0 if pair.second is None else pair.second.free_indices.size,
             )
         )
     return products
@@ -248,7 +290,7 @@ class FirstOrder:
             pair: the causes.
             solution: their fit, with the noise by which causes are judged.
         """
-        solution = own_recordings(solution, pair.named.term)
+        solution = own_recordings(solution, pair.named)
         layout = ParameterLayout.of([[]], 1)
         board_std = solution.prior_std[: layout.size]
         others = [t.prior_std for t in solution.fitted_terms if t is not pair.named]
@@ -267,9 +309,9 @@ class FirstOrder:
         added = None if new is None else new.without_session(self._session_std)
         total = self._old if added is None else self._old + added
         nats = []
-        for rival_is_first, rival in ((True, self._pair.first), (False, self._pair.second)):
-            data = total
-            if _is_of_recording(rival):
+        for truth, rival in self._pair.both_ways:
+            data, rival_is_first = total, rival is self._pair.first
+            if _is_of_recording(rival or truth):
                 if added is None:
                     return 0.0, 0.0
                 data = self._old_gain[rival_is_first] + added
@@ -287,15 +329,18 @@ def expected_nats(
         old: the fit of the recordings that exist.
         new: the simulated recording.
     """
-    old = own_recordings(old, pair.named.term)
+    old = own_recordings(old, pair.named)
     outcomes = []
     for truth, rival in pair.both_ways:
-        solution = new if _is_of_recording(rival) else together(old, new)
+        solution = new if _is_of_recording(rival or truth) else together(old, new)
         projector = NuisanceProjector.of_effect(solution, pair.named, truth, solution.noises)
         best = fit_candidate(projector, truth.term, fitted_place(truth), [truth.values])
-        other = _fit_rival(projector, rival.term)
         true_nats = 0.0 if best is None else best.log_evidence
         gain_nats = 0.0 if best is None else best.delta_log_likelihood
+        if rival is None:
+            outcomes.append((gain_nats, gain_nats))
+            continue
+        other = _fit_rival(projector, rival.term)
         outcomes.append((true_nats - (0.0 if other is None else other.log_evidence), gain_nats))
     return outcomes
 

@@ -10,7 +10,7 @@ Source: T-optimal design; Atkinson and Fedorov, Biometrika 62 (1975) 57.
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import reduce
 from operator import add
 
@@ -20,8 +20,11 @@ from scipy import special
 from gyrorig_protocol.program import MotionProgram, PtuSettings
 from gyrorig_solver.discover import FitExplanation
 from gyrorig_solver.discover.cause_ranking import nats_for_sole_name
+from gyrorig_solver.discover.testable_terms import FALSE_ALARM_RATE, count_tests
 from gyrorig_solver.estimate import ConvergedFit
 from gyrorig_solver.model import term_label
+from gyrorig_solver.model.catalogue import catalogue
+from gyrorig_solver.numerics.distributions import chi2_noncentrality, chi2_quantile
 from gyrorig_solver.plan.program_family import MotionSpace
 from gyrorig_solver.plan.program_timeline import simulate_program
 from gyrorig_solver.plan.separation.cause_pairs import (
@@ -32,6 +35,7 @@ from gyrorig_solver.plan.separation.cause_pairs import (
     fitted_pairs,
     judged_by_typical_noise,
     pair_products,
+    unseen_cause,
 )
 from gyrorig_solver.plan.separation.motion_blocks import (
     BLOCK_STATIC_S,
@@ -47,6 +51,7 @@ from gyrorig_solver.reference import PanTiltReference
 MAX_PROGRAM_S = 120.0
 PROGRAM_NAME = "next-program"
 DECISION_SIGMA = 2.6  # deviations of the log Bayes factor below its mean: 0.5 % fall below
+DETECTION_POWER = 0.99  # of a cause of the typical size
 MIN_PROBABILITY = 0.05  # of the best pair; a program that promises less is not proposed
 MIN_ADDED_NATS = 0.1  # by a block
 USABLE_RANGE_SHARE = 0.9  # of the full scale of the gyroscope
@@ -58,9 +63,9 @@ DEFAULT_FULL_SCALE_DEG_S = 250.0
 class PairOutlook:
     """What a program is expected to say about two causes."""
 
-    causes: tuple[str, str]
+    causes: tuple[str, ...]  # one: it is compared with nothing
     nats: float  # expected log Bayes factor, the smaller of both truths
-    probability: float  # that the truth becomes the only name; either is as probable
+    probability: float  # that the truth becomes the only name, or that one cause is detected
 
     @property
     def is_separated(self) -> bool:
@@ -88,7 +93,10 @@ class _Candidate:
 
 
 def propose_program(
-    explanation: FitExplanation, unit: UnitModel, max_duration_s: float = MAX_PROGRAM_S
+    explanation: FitExplanation,
+    unit: UnitModel,
+    max_duration_s: float = MAX_PROGRAM_S,
+    unseen: Sequence[str] = (),
 ) -> NextExperiment | None:
     """Return the program that separates the causes of each ambiguous set best.
 
@@ -96,22 +104,27 @@ def propose_program(
         explanation: the findings of one board, with their fit.
         unit: with its limits.
         max_duration_s: of the program.
+        unseen: causes that the program must show at their typical size.
 
     Returns:
-        None if no cause is ambiguous, or the reference is no pan-tilt unit.
+        None if no cause is ambiguous or unseen, or the reference is no pan-tilt unit.
     """
     solution = judged_by_typical_noise(explanation.solution_extended)
     if not isinstance(solution.sessions[-1].reference, PanTiltReference):
         return None
     groups = _ambiguous_groups(explanation, solution)
+    alone = {cause: unseen_cause(solution, cause) for cause in unseen}
+    groups += [[pair] for pair in alone.values() if pair is not None]
+    hidden = tuple(PairOutlook((cause,), 0.0, 0.0) for cause, pair in alone.items() if not pair)
     if not groups:
-        return None
+        return NextExperiment(None, 0.0, max_duration_s, hidden) if hidden else None
     design = _Design(solution, unit, groups, max_duration_s)
     choices = [design.choose(ACCELERATION_SHARES[0])]
     if choices[0].is_lacking:
         choices += [design.choose(share) for share in ACCELERATION_SHARES[1:]]
     best = max(choices, key=lambda choice: round(choice.worth_nats, 1))
-    return design.judge(best)
+    proposed = design.judge(best)
+    return replace(proposed, outlooks=(*proposed.outlooks, *hidden))
 
 
 def _ambiguous_groups(explanation: FitExplanation, solution: ConvergedFit) -> list[list[CausePair]]:
@@ -151,6 +164,7 @@ class _Design:
         self._solution, self._unit = solution, unit
         self._groups, self._max_duration_s = groups, max_duration_s
         self._pairs = [pair for group in groups for pair in group]
+        self._test_count = count_tests(tuple(catalogue().values()))
         self._first_order = [FirstOrder(pair, solution) for pair in self._pairs]
         self._space = MotionSpace.of(unit, _fastest_deg_s(solution))
 
@@ -200,7 +214,10 @@ class _Design:
 
     def _outlook(self, pair: CausePair, simulated: ConvergedFit) -> PairOutlook:
         outcomes = expected_nats(pair, self._solution, simulated)
-        probabilities = [_sole_name_probability(nats, gain_nats) for nats, gain_nats in outcomes]
+        if pair.second is None:
+            probabilities = [self._detection_probability(pair, nats) for nats, _ in outcomes]
+        else:
+            probabilities = [_sole_name_probability(*outcome) for outcome in outcomes]
         nats = max(0.0, min(nats for nats, _ in outcomes))
         return PairOutlook(pair.causes, nats, float(np.mean(probabilities)))
 
@@ -222,7 +239,23 @@ class _Design:
         for k, first_order in enumerate(self._first_order):
             new = reduce(add, (candidate.products[k] for candidate in chosen)) if chosen else None
             nats, gain_nats = first_order.outlook(new)
-            yield nats, _needed_nats(nats_for_sole_name(gain_nats))
+            if self._pairs[k].second is None:
+                yield nats, self._detection_nats(self._pairs[k])
+            else:
+                yield nats, _needed_nats(nats_for_sole_name(gain_nats))
+
+    def _detection_limit(self, pair: CausePair) -> float:
+        """Return the statistic at which a search names a cause."""
+        return chi2_quantile(FALSE_ALARM_RATE / self._test_count, pair.size_count)
+
+    def _detection_nats(self, pair: CausePair) -> float:
+        """Return the expected nats that a search needs to name a cause nearly always."""
+        limit = self._detection_limit(pair)
+        return 0.5 * chi2_noncentrality(limit, pair.size_count, DETECTION_POWER)
+
+    def _detection_probability(self, pair: CausePair, nats: float) -> float:
+        limit = self._detection_limit(pair)
+        return float(1.0 - special.chndtr(limit, pair.size_count, 2.0 * nats))
 
     def _settings(self, acceleration_share: float) -> PtuSettings:
         pan = self._unit.pan
