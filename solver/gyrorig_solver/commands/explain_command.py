@@ -14,7 +14,7 @@ from gyrorig_solver.commands.board_selection import select_boards
 from gyrorig_solver.commands.terminal import NOT_IDENTIFIABLE, PARTIAL, Terminal, json_option
 from gyrorig_solver.findings import FindingsDocument, findings_summary, next_experiment_lines
 from gyrorig_solver.findings.findings_document import to_plain
-from gyrorig_solver.model.catalogue import find_term
+from gyrorig_solver.model import find_term
 from gyrorig_solver.pipeline import WrittenFindings, explain_boards, write_explanation
 from gyrorig_solver.pipeline.next_experiment import with_next_experiment
 from gyrorig_solver.plan import MAX_PROGRAM_S, load_rig, require_new_path

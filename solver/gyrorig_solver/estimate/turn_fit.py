@@ -32,7 +32,7 @@ from gyrorig_solver.estimate.parameter_layout import (
     eliminate_parameters,
 )
 from gyrorig_solver.model import cross_matrix
-from gyrorig_solver.numerics.distributions import chi2_quantile
+from gyrorig_solver.numerics import chi2_quantile
 from gyrorig_solver.reference import TimeInterval, TurnReference
 from gyrorig_solver.reference.known_turns import KnownTurn
 

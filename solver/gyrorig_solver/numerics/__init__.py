@@ -6,6 +6,7 @@ with many local and a few shared unknowns.
 
 from gyrorig_solver.numerics.arrowhead import ArrowheadMatrix, eliminate_local, solve_arrowhead
 from gyrorig_solver.numerics.distributions import (
+    chi2_quantile,
     chi2_upper_tail,
     detection_noncentrality,
     normal_quantile,
@@ -15,6 +16,7 @@ from gyrorig_solver.numerics.distributions import (
 
 __all__ = [
     "ArrowheadMatrix",
+    "chi2_quantile",
     "chi2_upper_tail",
     "detection_noncentrality",
     "eliminate_local",
