@@ -32,6 +32,7 @@ _COMMANDS = {
     "solve": ("solve_command", "Calibrate boards from recordings."),
     "temperature": ("temperature_command", "Fit bias and scale against the temperature."),
     "compare": ("compare_command", "Compare a calibration with true values."),
+    "twin": ("twin_command", "Write the emulated rig that behaves like a recorded one."),
     "explain": ("explain_command", "Find errors in the rig model and their causes."),
     "apply": ("apply_command", "Apply a calibration to a recording or a table."),
     "export": ("export_command", "Export as C, ROS, Kalibr, PX4, ArduPilot or JSON."),

@@ -16,7 +16,7 @@ from gyrorig_protocol.recording.recording import Recording, times_ns
 from gyrorig_solver.check.attitude_health import AttitudeHealth, examine_attitudes
 from gyrorig_solver.data.samples import GyroSamples, load_samples
 from gyrorig_solver.estimate import ObservabilityReport
-from gyrorig_solver.pipeline.board_data import BoardData
+from gyrorig_solver.pipeline import BoardData
 from gyrorig_solver.reference import UNUSABLE_STATUS
 
 

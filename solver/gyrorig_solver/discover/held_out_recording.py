@@ -16,6 +16,7 @@ from gyrorig_solver.data import FloatArray, IntArray
 from gyrorig_solver.estimate import (
     BASE_PARAMETERS,
     GAIN_PARAMETERS,
+    PRIOR_STD,
     ConvergedFit,
     FittedTerm,
     NoiseModel,
@@ -24,7 +25,6 @@ from gyrorig_solver.estimate import (
     reference_cost,
 )
 from gyrorig_solver.estimate.board_fit import DERIVATIVE_REFRESH_SIGMA, OUTLIER_RETEST_SIGMA
-from gyrorig_solver.estimate.observability import PRIOR_STD
 from gyrorig_solver.estimate.session_noise import fit_session_noise
 from gyrorig_solver.estimate.trust_region import CONVERGED_SIGMA
 

@@ -61,7 +61,11 @@ from gyrorig_solver.estimate.nuisance_projector import (
     SignalFunction,
 )
 from gyrorig_solver.estimate.nuisance_space import ScoreStatistics
-from gyrorig_solver.estimate.observability import ObservabilityAnalysis, analyse_observability
+from gyrorig_solver.estimate.observability import (
+    PRIOR_STD,
+    ObservabilityAnalysis,
+    analyse_observability,
+)
 from gyrorig_solver.estimate.observability_remedies import REST_REMEDIES, UNIT_REMEDIES
 from gyrorig_solver.estimate.paper.paper_method import calibrate_as_printed
 from gyrorig_solver.estimate.parameter_layout import (
@@ -85,6 +89,7 @@ __all__ = [
     "NO_SHARING",
     "PARAMETER_NAMES",
     "PRIOR_LOG_STD",
+    "PRIOR_STD",
     "REST_REMEDIES",
     "SESSION_PARAMETERS",
     "TYPICAL_MOUNT",

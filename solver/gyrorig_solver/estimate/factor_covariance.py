@@ -18,8 +18,8 @@ from typing import Self
 import numpy as np
 
 from gyrorig_solver.data import BoolArray, FloatArray
-from gyrorig_solver.model import FACTOR_NAMES, factor_jacobian, factorise
-from gyrorig_solver.model.gain_matrix import GainFactors, factorise_near
+from gyrorig_solver.model import FACTOR_NAMES, GainFactors, factor_jacobian, factorise
+from gyrorig_solver.model.gain_matrix import factorise_near
 
 FACTOR_COUNT = len(FACTOR_NAMES)
 # Gauss-Hermite quadrature, order 3, of a standard normal variable (Abramowitz, Stegun 25.4.46).

@@ -14,6 +14,7 @@ from gyrorig_solver.findings.findings_document import CauseEntry, FindingsDocume
 from gyrorig_solver.findings.findings_files import write_findings
 from gyrorig_solver.findings.findings_wording import (
     amount_text,
+    cause_title,
     findings_summary,
     next_experiment_lines,
     place_text,
@@ -25,6 +26,7 @@ __all__ = [
     "FindingsDocument",
     "amount_text",
     "build_findings_document",
+    "cause_title",
     "figure_key",
     "findings_summary",
     "next_experiment_lines",

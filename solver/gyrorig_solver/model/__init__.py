@@ -10,6 +10,7 @@ from gyrorig_solver.model.catalogue import cause_display_unit, find_term, term_o
 from gyrorig_solver.model.gain_matrix import (
     FACTOR_NAMES,
     GAIN_NAMES,
+    GainFactors,
     cross_matrix,
     factor_jacobian,
     factorise,
@@ -69,6 +70,7 @@ __all__ = [
     "AxisBiases",
     "BinnedDependence",
     "BoardTemperature",
+    "GainFactors",
     "LevelEstimate",
     "LinearTerm",
     "ParameterGroup",

@@ -8,8 +8,9 @@ What to use when: `solve_board.solve_and_store` for a calibration in a store,
 `explain_board.explain_boards` for findings, `fit_board.solve_recordings` for a fit alone.
 """
 
+from gyrorig_solver.pipeline.board_data import BoardData, has_unit, load_board
 from gyrorig_solver.pipeline.board_results import CriticisedFit
-from gyrorig_solver.pipeline.criticised_fit import AUTO, fit_together
+from gyrorig_solver.pipeline.criticised_fit import AUTO, fit_criticised, fit_together
 from gyrorig_solver.pipeline.explain_board import WrittenFindings, explain_boards, write_explanation
 from gyrorig_solver.pipeline.fit_board import solve_recordings
 from gyrorig_solver.pipeline.solve_board import StoredResult, solve_and_store
@@ -17,12 +18,16 @@ from gyrorig_solver.pipeline.unit_prior import UnitKnowledge, read_unit_file
 
 __all__ = [
     "AUTO",
+    "BoardData",
     "CriticisedFit",
     "StoredResult",
     "UnitKnowledge",
     "WrittenFindings",
     "explain_boards",
+    "fit_criticised",
     "fit_together",
+    "has_unit",
+    "load_board",
     "read_unit_file",
     "solve_and_store",
     "solve_recordings",

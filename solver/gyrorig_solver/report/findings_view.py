@@ -8,6 +8,7 @@ from gyrorig_solver.findings import (
     CauseEntry,
     FindingsDocument,
     amount_text,
+    cause_title,
     figure_key,
     next_experiment_lines,
     place_text,
@@ -15,7 +16,6 @@ from gyrorig_solver.findings import (
 from gyrorig_solver.findings.findings_document import ChangeEntry, GainEntry
 from gyrorig_solver.findings.findings_wording import (
     cause_headline,
-    cause_title,
     main_size_text,
     p_value_text,
     parameter_bias_sigma,

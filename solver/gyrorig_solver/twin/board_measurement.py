@@ -1,0 +1,224 @@
+"""What the recordings of one board say about it, as a part of the twin.
+
+What to use when: `measure_board` with the fit of `pipeline`.
+"""
+
+import math
+
+import numpy as np
+
+from gyrorig_protocol.identity import BoardId
+from gyrorig_protocol.recording.recording import Recording
+from gyrorig_protocol.twin import Scalar, Source, TwinBoard, TwinClock, TwinTemperature, Vector
+from gyrorig_solver.data import FloatArray
+from gyrorig_solver.data.samples import GyroSamples, mean_temperature_degc, positive_number
+from gyrorig_solver.estimate import (
+    PRIOR_LOG_STD,
+    PRIOR_STD,
+    GyroFit,
+    NoiseModel,
+    Spectrum,
+    unit_densities,
+)
+from gyrorig_solver.pipeline import BoardData, CriticisedFit
+from gyrorig_solver.twin.quantities import matrix, scalar, vector
+
+PROCESSES = 3  # white noise, flicker, random walk
+CRYSTAL_WALK_PER_SQRT_S = 1e-8  # of a crystal's rate (docs/clocks.md)
+MAX_STAMPS = 2_000_000  # of a long recording, the first ones are sufficient
+MIN_STAMPS = 100
+MAX_STAMP_DEVIATIONS = 10.0  # times the median deviation; beyond, a sample was dated late
+TEMPERATURE_POINTS = 200
+MIN_TEMPERATURES = 2
+MAX_RELATIVE_LEVEL_STD = 0.7  # beyond, a recording does not determine a level
+
+
+def measure_board(data: BoardData, criticised: CriticisedFit, lateness_s: float = 0.0) -> TwinBoard:
+    """Return what the fit and the samples of one board say about it.
+
+    A field without a value is left out, so that it keeps the default of the emulator.
+
+    Args:
+        data: of the board. If there are several recordings, bias and clock are those of the last.
+        criticised: its fit.
+        lateness_s: by how much the clock mapping dates the samples too late.
+    """
+    fit, samples, recording = criticised.fit, data.samples[-1], data.recordings[-1]
+    gain_source: Source = "recording" if np.isfinite(fit.gain).any() else "default"
+    is_known = np.isfinite(fit.gain)
+    deviations = np.where(is_known, fit.gain_std, PRIOR_STD["gain"])
+    stds = np.array([fit.std.get(f"bias.{axis}", math.nan) for axis in "xyz"])
+    bias = vector(fit.bias_rad_s, stds, "rad/s")
+    white, flicker, walk = _noise_levels(criticised)
+    full_scale_dps = positive_number(samples.metadata, "gyro_full_scale_dps")
+    stamp_jitter = _measure_stamp_jitter(recording, samples)
+    return TwinBoard(
+        gain=matrix(np.where(is_known, fit.gain, np.eye(3)), deviations, "1", gain_source),
+        bias=bias or Vector((0.0, 0.0, 0.0), None, "rad/s", "default"),
+        time_offset=_time_offset(fit, samples, lateness_s),
+        noise_density=white,
+        bias_instability=flicker,
+        rate_random_walk=walk,
+        odr=_measure_odr(samples, stamp_jitter),
+        bandwidth=_stated(samples.bandwidth_hz, "Hz"),
+        full_scale=_stated(full_scale_dps and math.radians(full_scale_dps), "rad/s"),
+        count=_stated(samples.quantum_rad_s, "rad/s"),
+        clock=_measure_clock(samples),
+        stamp_jitter=stamp_jitter,
+        temperature=_temperature_curve(data),
+    )
+
+
+def _stated(value: float | None, unit: str) -> Scalar | None:
+    """Return a setting that the recording states, without an uncertainty."""
+    return None if value is None else scalar(value, None, unit)
+
+
+def _time_offset(fit: GyroFit, samples: GyroSamples, lateness_s: float) -> Scalar:
+    """Return the whole lag of the samples, with the delay of the low-pass."""
+    std_s = fit.std.get("time_offset", math.nan)
+    offset = scalar(fit.time_offset_s - lateness_s, std_s, "s")
+    bandwidth_hz = samples.bandwidth_hz
+    # The delay at zero frequency of a second-order Butterworth.
+    low_pass_s = 0.0 if bandwidth_hz is None else math.sqrt(0.5) / (math.pi * bandwidth_hz)
+    return offset or Scalar(low_pass_s + samples.period_s / 2.0, None, "s", "default")
+
+
+def _noise_levels(criticised: CriticisedFit) -> tuple[Vector | None, ...]:
+    """Return white noise, flicker and random walk of the residual."""
+    noise, solution = criticised.fit.noise, criticised.solution
+    if noise is None:
+        return None, None, None
+    levels = (noise.angle_random_walk, noise.bias_instability, noise.rate_random_walk)
+    units = ("rad/s/sqrt(Hz)", "rad/s", "rad/s/sqrt(s)")
+    if solution is None:
+        return tuple(vector(values, None, unit) for values, unit in zip(levels, units, strict=True))
+    relative = _relative_level_stds(solution.noises[-1], solution.spectra[-1])
+    return tuple(
+        vector(
+            levels[k],
+            levels[k] * relative[:, k],
+            units[k],
+            "recording" if relative[:, k].max() < MAX_RELATIVE_LEVEL_STD else "default",
+        )
+        for k in range(PROCESSES)
+    )
+
+
+def _relative_level_stds(noise: NoiseModel, spectrum: Spectrum) -> FloatArray:
+    """Return the relative standard deviation of each level, shape (3, 3): axis, process.
+
+    They are from the curvature of Whittle's likelihood (Whittle, "Estimation and information in
+    stationary time series", 1953): the information about the logarithms of the levels is half the
+    sum of the squared shares of the density.
+
+    A value near that of the prior means that the spectrum does not show the process.
+
+    Args:
+        noise: the fitted levels.
+        spectrum: that they were fitted to.
+    """
+    unit_density = unit_densities(spectrum.frequency_hz, noise.sampling)
+    total = noise.density_of_bins(spectrum)
+    stds = np.empty((3, PROCESSES))
+    for axis in range(3):
+        contributions = noise.levels[axis][:, None] * unit_density
+        if spectrum.white_power is not None:
+            contributions[0] *= spectrum.white_power[:, axis]
+        shares = contributions / total[:, axis]
+        active = np.flatnonzero(shares.max(axis=1) > 0.0)
+        information = 0.5 * (shares[active] * spectrum.count) @ shares[active].T
+        information += np.eye(active.size) * PRIOR_LOG_STD**-2
+        # The levels are squares: the logarithm of an amplitude has half of the deviation.
+        log_stds = np.full(len(noise.levels[axis]), PRIOR_LOG_STD)
+        log_stds[active] = np.sqrt(np.diag(np.linalg.inv(information)))
+        stds[axis] = 0.5 * log_stds[:PROCESSES]
+    return stds
+
+
+def _measure_odr(samples: GyroSamples, stamp_jitter: Scalar | None) -> Scalar | None:
+    span_s = float(samples.time_s[-1] - samples.time_s[0])
+    if not (samples.period_s > 0.0 and span_s > 0.0):
+        return None
+    odr_hz = 1.0 / samples.period_s
+    jitter_s = 0.0 if stamp_jitter is None else stamp_jitter.value
+    ends = math.sqrt(2.0) * jitter_s / span_s  # the first and the last sample
+    return scalar(odr_hz, odr_hz * math.hypot(_skew_std(samples, span_s), ends), "Hz")
+
+
+def _measure_clock(samples: GyroSamples) -> TwinClock:
+    """Return the clock of the board; imported samples have the clock of their times only."""
+    tick_hz = positive_number(samples.metadata, "tick_hz")
+    if tick_hz is None or samples.metadata.get("link") == "file":
+        return TwinClock()
+    span_s = float(samples.time_s[-1] - samples.time_s[0])
+    clock = samples.clock
+    return TwinClock(
+        skew=scalar(clock.skew_ppm * 1e-6, _skew_std(samples, span_s), "1"),
+        wander=scalar(clock.walk_per_sqrt_s, None, "1/sqrt(s)"),
+        tick_hz=tick_hz,
+    )
+
+
+def _skew_std(samples: GyroSamples, span_s: float) -> float:
+    """Return the uncertainty of a clock's skew: of its mapping, and by its wander meanwhile."""
+    sigma_s = samples.clock.sigma_s
+    mapping = math.sqrt(2.0) * (sigma_s if math.isfinite(sigma_s) else 0.0) / span_s
+    wander = samples.clock.walk_per_sqrt_s
+    walk = (
+        max(wander, CRYSTAL_WALK_PER_SQRT_S) if math.isfinite(wander) else CRYSTAL_WALK_PER_SQRT_S
+    )
+    return math.hypot(mapping, walk * math.sqrt(span_s))
+
+
+def _measure_stamp_jitter(recording: Recording, samples: GyroSamples) -> Scalar | None:
+    """Return the mean delay of a sample's timestamp, from the second differences of the ticks.
+
+    An exponential delay has a standard deviation equal to its mean.
+    """
+    tick_hz = positive_number(samples.metadata, "tick_hz")
+    if tick_hz is None or samples.metadata.get("link") == "file":
+        return None
+    board = BoardId(samples.board)
+    ticks = recording.imu_field(board, "device_time")[:MAX_STAMPS].astype(np.int64)
+    numbers = recording.imu_field(board, "sequence")[:MAX_STAMPS].astype(np.int64)
+    steps, consecutive = np.diff(ticks), np.diff(numbers) == 1
+    usable = consecutive[1:] & consecutive[:-1] & (steps[1:] > 0) & (steps[:-1] > 0)
+    changes = np.diff(steps)[usable].astype(np.float64)
+    if changes.size < MIN_STAMPS:
+        return None
+    deviation = float(np.median(np.abs(changes)))
+    inside = changes[np.abs(changes) <= MAX_STAMP_DEVIATIONS * max(deviation, 1.0)]
+    # A second difference has six times the variance of a stamp; rounding to ticks adds 1/12.
+    variance = float(np.mean(inside**2)) / 6.0 - 1.0 / 12.0
+    if variance <= 0.0:
+        return scalar(0.0, 1.0 / tick_hz, "s")
+    jitter_s = math.sqrt(variance) / tick_hz
+    return scalar(jitter_s, jitter_s * math.sqrt(4.0 / inside.size), "s")
+
+
+def _temperature_curve(data: BoardData) -> TwinTemperature | None:
+    """Return the temperatures of the first recording as means over equal times."""
+    samples = data.samples[0]
+    degc = samples.temperature_degc
+    if degc is None:
+        return None
+    valid = np.isfinite(degc)
+    if np.count_nonzero(valid) < MIN_TEMPERATURES:
+        return None
+    time_s, readings = samples.time_s[valid], degc[valid]
+    points = min(TEMPERATURE_POINTS, readings.size // 2)
+    cuts = np.linspace(0, readings.size, max(points, MIN_TEMPERATURES) + 1).astype(np.int64)
+    means_s, means_degc = _means_between(time_s, cuts), _means_between(readings, cuts)
+    increasing = np.concatenate([[True], np.diff(means_s) > 0.0])
+    if np.count_nonzero(increasing) < MIN_TEMPERATURES:
+        return None
+    return TwinTemperature(
+        time_s=tuple(np.round(means_s[increasing], 3).tolist()),
+        degc=tuple(np.round(means_degc[increasing], 4).tolist()),
+        reference_degc=mean_temperature_degc(data.samples),
+    )
+
+
+def _means_between(values: FloatArray, cuts: np.ndarray) -> FloatArray:
+    return np.asarray(np.add.reduceat(values, cuts[:-1]) / np.diff(cuts), dtype=np.float64)

@@ -1,0 +1,157 @@
+"""The joint covariance of a twin's values, from the covariances of its boards.
+
+The fits of two boards have only the causes of their unit in common. Given these, their values are
+independent: with K the regression of a board's values on the unit's, the covariance of two boards
+is K1 U K2', and that of one board S + K U K'. U is the covariance of the unit's values.
+
+The time offset of a board and the start delay of the unit have one constant uncertainty with
+opposite signs, because only their sum shows in the data. The covariance here is that with the
+start delay as stated, so that a draw keeps the sum.
+
+What to use when: `join_covariances`.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from gyrorig_protocol.twin import Posterior
+from gyrorig_solver.data import FloatArray
+from gyrorig_solver.estimate import BASE_PARAMETERS, ConvergedFit, GyroFit
+from gyrorig_solver.model import FACTOR_NAMES, GAIN_NAMES, GainFactors, factor_jacobian
+from gyrorig_solver.pipeline import CriticisedFit
+from gyrorig_solver.twin.twin_causes import CollectedCauses
+
+MAX_NAMES = 400  # of the posterior in a document
+MIN_OFFSET_STD_S = 1e-7
+DIGITS = 9  # of a number in the document
+TIME_OFFSET = BASE_PARAMETERS - 1
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class NamedCovariance:
+    """The covariance of some values of a twin."""
+
+    names: tuple[str, ...]
+    matrix: FloatArray  # (k, k)
+
+    def part(self, names: tuple[str, ...], others: tuple[str, ...]) -> FloatArray:
+        """Return the covariance of some names with others."""
+        index = {name: k for k, name in enumerate(self.names)}
+        return self.matrix[np.ix_([index[n] for n in names], [index[n] for n in others])]
+
+
+def join_covariances(
+    fits: Mapping[str, CriticisedFit], collected: CollectedCauses
+) -> Posterior | None:
+    """Return the joint covariance of all boards, None if it is empty or too large."""
+    boards = [board_covariance(name, criticised, collected) for name, criticised in fits.items()]
+    shared = tuple(
+        f"causes.{number}.{parameter}"
+        for number, cause in enumerate(collected.causes)
+        if cause.board is None
+        for parameter in cause.parameters
+    )
+    joint = _join(boards, shared)
+    if not joint.names or len(joint.names) > MAX_NAMES:
+        return None
+    # Equal rounding of both triangles keeps the matrix symmetric.
+    rows = tuple(tuple(float(f"{v:.{DIGITS}g}") for v in row) for row in joint.matrix)
+    return Posterior(joint.names, rows)
+
+
+def board_covariance(
+    board: str, criticised: CriticisedFit, collected: CollectedCauses
+) -> NamedCovariance:
+    """Return the covariance of the values that one board's fit has, by their names in the twin."""
+    fit = criticised.fit
+    names, jacobian = _twin_names(board, fit, collected.places.get(board, {}))
+    covariance = jacobian @ fit.covariance @ jacobian.T
+    offset = f"boards.{board}.time_offset"
+    if offset in names and criticised.solution is not None:
+        k = names.index(offset)
+        variance_s2 = covariance[k, k] - _common_variance_s2(criticised.solution)
+        covariance[k, k] = max(variance_s2, MIN_OFFSET_STD_S**2)
+    return NamedCovariance(names, (covariance + covariance.T) / 2.0)
+
+
+def _twin_names(
+    board: str, fit: GyroFit, places: Mapping[str, tuple[int, str]]
+) -> tuple[tuple[str, ...], FloatArray]:
+    """Return the names of a fit's values in the twin, and their derivatives by the fit's values."""
+    position = {name: k for k, name in enumerate(fit.order)}
+    names: list[str] = []
+    rows: list[FloatArray] = []
+    if all(name in position for name in FACTOR_NAMES):
+        factors = GainFactors(fit.scale, fit.nonorthogonality, fit.misalignment_rad)
+        by_factor = np.linalg.inv(factor_jacobian(factors))
+        columns = [position[name] for name in FACTOR_NAMES]
+        for k in range(len(GAIN_NAMES)):
+            row = np.zeros(len(fit.order))
+            row[columns] = by_factor[k]
+            names.append(f"boards.{board}.gain.{k // 3}.{k % 3}")
+            rows.append(row)
+    for name, k in position.items():
+        twin_name = None
+        group, _, component = name.partition(".")
+        if group == "bias" and component in ("x", "y", "z"):
+            twin_name = f"boards.{board}.bias.{'xyz'.index(component)}"
+        elif name == "time_offset":
+            twin_name = f"boards.{board}.time_offset"
+        elif name in places:
+            number, parameter = places[name]
+            twin_name = f"causes.{number}.{parameter}"
+        if twin_name is not None:
+            names.append(twin_name)
+            rows.append(np.eye(len(fit.order))[k])
+    return tuple(names), np.array(rows).reshape(len(names), len(fit.order))
+
+
+def _common_variance_s2(solution: ConvergedFit) -> float:
+    """Return the variance of the time offset that the start delay has, too."""
+    shown = [
+        session.common_std_s
+        for session, analysis in zip(solution.sessions, solution.session_observability, strict=True)
+        if analysis.is_observable(TIME_OFFSET)
+    ]
+    return shown[-1] ** 2 if shown else 0.0
+
+
+def _join(boards: list[NamedCovariance], shared: tuple[str, ...]) -> NamedCovariance:
+    """Return the covariance of all values, with the shared ones first."""
+    unit_names: list[str] = []
+    unit = np.zeros((0, 0))
+    for board in boards:  # the first board that has a value of the unit states its variance
+        new = tuple(name for name in shared if name in board.names and name not in unit_names)
+        if new:
+            unit = _block_diagonal(unit, board.part(new, new))
+            unit_names += new
+    total, names = unit, list(unit_names)
+    regressions = [np.eye(len(unit_names))]
+    for board in boards:
+        board_names = tuple(name for name in board.names if name not in unit_names)
+        common = tuple(name for name in board.names if name in unit_names)
+        regression = np.zeros((len(board_names), len(unit_names)))
+        conditional = board.part(board_names, board_names)
+        if common:
+            inner = np.linalg.pinv(board.part(common, common), hermitian=True)
+            slope = board.part(board_names, common) @ inner
+            conditional = conditional - slope @ board.part(common, board_names)
+            regression[:, [unit_names.index(name) for name in common]] = slope
+        names += board_names
+        regressions.append(regression)
+        total = _block_diagonal(total, conditional)
+    stacked = np.vstack(regressions)
+    joint = stacked @ unit @ stacked.T
+    board_block = total.copy()
+    board_block[: len(unit_names), : len(unit_names)] = 0.0  # is in the first part
+    return NamedCovariance(tuple(names), np.asarray(joint + board_block))
+
+
+def _block_diagonal(first: FloatArray, second: FloatArray) -> FloatArray:
+    size = first.shape[0] + second.shape[0]
+    joined = np.zeros((size, size))
+    joined[: first.shape[0], : first.shape[0]] = first
+    joined[first.shape[0] :, first.shape[0] :] = second
+    return joined

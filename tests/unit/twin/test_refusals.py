@@ -1,0 +1,80 @@
+"""Inputs that make no twin get one line, and nothing is written."""
+
+from pathlib import Path
+
+import pytest
+from tests.unit.twin.conftest import record, run_gyrorig
+
+OTHER_UNIT = """
+schema: gyrorig/rig/1
+rig: two-axis
+ptu: {port: emulated, baud: 115200}
+boards: [{id: GY80-1, port: emulated, baud: 460800}]
+emulator: {dialect: d46, seed: 3}
+"""
+
+
+@pytest.fixture(scope="module")
+def quick(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A short recording of an emulated rig."""
+    recording, _ = record(tmp_path_factory.mktemp("quick"), "--seed", "2", program="quick")
+    return recording
+
+
+def _refused(status: int, *words: str | Path) -> str:
+    process = run_gyrorig("twin", *words)
+    assert process.returncode == status, process.stderr
+    assert "Traceback" not in process.stderr
+    lines = process.stderr.strip().splitlines()
+    assert len(lines) == 1, process.stderr
+    return lines[0]
+
+
+def test_a_file_that_is_no_recording_is_refused(tmp_path: Path) -> None:
+    table = tmp_path / "table.csv"
+    table.write_text("t,x\n0,1\n", encoding="utf-8")
+    _refused(3, table, "--out", tmp_path / "t")
+    assert not (tmp_path / "t").exists()
+
+
+def test_a_missing_file_is_refused(tmp_path: Path) -> None:
+    assert "none.mcap" in _refused(3, tmp_path / "none.mcap", "--out", tmp_path / "t")
+
+
+def test_a_damaged_recording_is_refused(quick: Path, tmp_path: Path) -> None:
+    damaged = tmp_path / "damaged.mcap"
+    damaged.write_bytes(quick.read_bytes()[:600])
+    _refused(3, damaged, "--out", tmp_path / "t")
+
+
+def test_a_board_that_is_not_there_is_refused(quick: Path, tmp_path: Path) -> None:
+    message = _refused(3, quick, "--board", "GY80-2", "--out", tmp_path / "t")
+    assert "GY80-1" in message
+
+
+def test_one_recording_twice_is_refused(quick: Path, tmp_path: Path) -> None:
+    copy = tmp_path / "copy.mcap"
+    copy.write_bytes(quick.read_bytes())
+    assert "same recording" in _refused(2, quick, copy, "--out", tmp_path / "t")
+
+
+def test_a_folder_that_cannot_be_written_is_refused(quick: Path, tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("", encoding="utf-8")
+    assert "--out" in _refused(1, quick, "--out", tmp_path / "file" / "t")
+
+
+def test_an_earlier_twin_is_kept(quick: Path, tmp_path: Path) -> None:
+    first = run_gyrorig("twin", quick, "--out", tmp_path)
+    before = (tmp_path / "twin.yaml").read_bytes()
+    second = run_gyrorig("twin", quick, "--out", tmp_path)
+    assert first.returncode == second.returncode == 0, first.stderr + second.stderr
+    assert (tmp_path / "twin-0001.yaml").read_bytes() == before
+    assert (tmp_path / "twin.yaml").exists()
+
+
+def test_recordings_of_two_units_are_refused(quick: Path, tmp_path: Path) -> None:
+    rig = tmp_path / "rig.yaml"
+    rig.write_text(OTHER_UNIT, encoding="utf-8")
+    other, _ = record(tmp_path / "other", "--seed", "3", program="quick", config=rig)
+    message = _refused(2, quick, other, "--out", tmp_path / "t")
+    assert "one rig" in message
