@@ -51,6 +51,11 @@ class _Base:
         self.reference_degc = float(self.temperature.degc(np.linspace(BEGIN_S, END_S, 300)).mean())
 
     @property
+    def lag_s(self) -> float:
+        """How long after the motion a sample shows it: findings give times of the motion."""
+        return self.imu.tau_s
+
+    @property
     def reference_rise_k(self) -> float:
         return self.reference_degc - self.imu.ambient_degc
 
@@ -163,7 +168,7 @@ def _g_sensitivity(cause: InjectedCause, base: _Base) -> None:
 
 def _board_slip(cause: InjectedCause, base: _Base) -> None:
     base.put_axes("turn", -base.imu.mounting.T @ cause.array("turn"), "rad")
-    base.put("time", cause.number("at") - ZERO_S, "s")
+    base.put("time", cause.number("at") - base.lag_s - ZERO_S, "s")
 
 
 def _saturation(cause: InjectedCause, base: _Base) -> None:
@@ -183,17 +188,17 @@ def _motor_coupling(cause: InjectedCause, base: _Base) -> None:
 def _bias_ramp(cause: InjectedCause, base: _Base) -> None:
     slope = cause.array("slope")
     base.put_axes("slope", slope, "rad/s^2")
-    base.bias += slope * MIDDLE_S
+    base.bias += slope * (MIDDLE_S + base.lag_s)
 
 
 def _bias_step(cause: InjectedCause, base: _Base) -> None:
     base.put_axes("step", cause.array("step"), "rad/s")
-    base.put("time", cause.number("at") - ZERO_S, "s")
+    base.put("time", cause.number("at") - base.lag_s - ZERO_S, "s")
 
 
 def _warm_up(cause: InjectedCause, base: _Base) -> None:
     constant_s = cause.number("time_constant")
-    remaining = math.exp(-BEGIN_S / constant_s)
+    remaining = math.exp(-(BEGIN_S + base.lag_s) / constant_s)
     base.put_axes("begin", cause.array("at_power_up") * remaining, "rad/s")
     base.put("time_constant", constant_s, "s")
 
@@ -214,7 +219,7 @@ def _thermal_scale(cause: InjectedCause, base: _Base) -> None:
 
 def _supply_hum(cause: InjectedCause, base: _Base) -> None:
     frequency = cause.number("frequency")
-    phase = cause.number("phase") + 2.0 * math.pi * frequency * BEGIN_S
+    phase = cause.number("phase") + 2.0 * math.pi * frequency * (BEGIN_S + base.lag_s)
     base.put_axes("cosine", cause.array("amplitude") * math.sin(phase), "rad/s")
     base.put_axes("sine", cause.array("amplitude") * math.cos(phase), "rad/s")
     base.put("frequency", frequency, "Hz")
@@ -223,7 +228,7 @@ def _supply_hum(cause: InjectedCause, base: _Base) -> None:
 def _clock_step(cause: InjectedCause, base: _Base) -> None:
     step = cause.number("step")
     base.put("step", step, "s")
-    base.put("time", cause.number("at") - ZERO_S, "s")
+    base.put("time", cause.number("at") - base.lag_s - ZERO_S, "s")
     base.time_offset_s += max(-step, 0.0)  # the lag before the step
 
 
@@ -236,7 +241,7 @@ def _clock_sawtooth(cause: InjectedCause, base: _Base) -> None:
     growth, period = cause.number("lag_growth"), cause.number("period")
     base.put("rate", growth)
     base.put("period", period, "s")
-    base.put("time", cause.number("at") - ZERO_S, "s")
+    base.put("time", cause.number("at") - base.lag_s - ZERO_S, "s")
     base.time_offset_s += 0.5 * abs(growth * period)
 
 

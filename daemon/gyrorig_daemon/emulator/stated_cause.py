@@ -59,9 +59,9 @@ class StatedCause:
     name: str
     places: tuple[str, ...]  # axes; () for all
     values: Mapping[str, float]  # by name, such as `gap.pan`
-    zero_s: float  # the zero of its times, since power-up
-    begin_s: float  # first sample of its recording, since power-up
-    end_s: float  # last sample
+    zero_s: float  # the zero of its times, since power-up, by the clock of the samples
+    begin_s: float  # begin of its recording, on the same clock
+    end_s: float
     step_rad: Mapping[str, float]  # signed angle of a step of each axis of the unit
     latitude_deg: float | None = None
     heading_deg: float | None = None

@@ -129,7 +129,8 @@ def test_events_of_another_recording_do_not_happen() -> None:
     both = make_twin_rig(twin, SETTINGS, "b.mcap").truth.injected
     stated = plain["causes"][0]["parameters"]["time"]["value"]
     assert both[0].cause == "bias_step"
-    assert both[0].number("at") == pytest.approx(stated - 7.3 + BEGIN_S)
+    # Findings give times of the motion, and a sample shows it a few ms later.
+    assert both[0].number("at") == pytest.approx(stated - 7.3 + BEGIN_S, abs=0.01)
 
 
 def test_hidden_causes_are_added_to_those_of_the_twin() -> None:

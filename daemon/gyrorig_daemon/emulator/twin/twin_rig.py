@@ -16,6 +16,7 @@ from gyrorig_daemon.emulator.injection import (
     apply_causes,
     sample_injected_causes,
 )
+from gyrorig_daemon.emulator.physics.lowpass import butterworth_delay_s
 from gyrorig_daemon.emulator.physics.stepper_axis import ARCSEC_RAD
 from gyrorig_daemon.emulator.rig_truth import BoardTruth, RigTruth, sample_rig_truth
 from gyrorig_daemon.emulator.stated_cause import (
@@ -81,7 +82,12 @@ def make_twin_rig(twin: Twin, settings: RigSettings, recording: str | None = Non
         )
         for board in settings.boards
     }
-    places = _Places(settings, played, boards, plain_boards)
+    latency = latency_truth(twin.link)
+    link_delays_s = {
+        board.name: link_delay_s(board, plain_boards[board.name], latency)
+        for board in settings.boards
+    }
+    places = _Places(settings, played, boards, plain_boards, link_delays_s)
     carried: list[tuple[InjectedCause, CarriedCause]] = []
     notes: list[str] = []
     for cause in twin.causes:
@@ -107,16 +113,15 @@ def make_twin_rig(twin: Twin, settings: RigSettings, recording: str | None = Non
     if settings.ptu is not None:
         start_delay_s = sum(part.start_delay_s for _, part in carried)
         settings = replace(settings, ptu=starting_earlier(settings.ptu, start_delay_s))
-    latency = latency_truth(twin.link)
-    for board in settings.boards:
-        delays_s[board.name] += link_delay_s(board, plain_boards[board.name], latency)
     unit_clock = None if twin.unit is None else twin.unit.counter
     plain = replace(
         sampled,
         controller_clock=clock_truth(unit_clock, sampled.controller_clock),
         latency=latency,
         boards={
-            name: with_delay(board, boards[name].time_offset.value - delays_s[name])
+            name: with_delay(
+                board, boards[name].time_offset.value - delays_s[name] - link_delays_s[name]
+            )
             for name, board in plain_boards.items()
         },
     )
@@ -158,6 +163,7 @@ class _Places:
     recording: TwinRecording
     twin_boards: Mapping[str, TwinBoard]
     truths: Mapping[str, BoardTruth]
+    link_delays_s: Mapping[str, float]
 
     def reason_not_carried(self, cause: TwinCause) -> str | None:
         """Return why the emulated rig cannot have a cause, None if it can."""
@@ -188,7 +194,9 @@ class _Places:
     def stated(self, cause: TwinCause, board_id: str | None) -> StatedCause:
         """Return a cause with its times since power-up."""
         settings, recording = self.settings, self.recording
-        zero_s = settings.session_s[0] - recording.begin_s
+        # Findings give times of the motion, and a sample shows an earlier motion.
+        lag_s = 0.0 if board_id is None else self._lag_s(board_id)
+        zero_s = settings.session_s[0] - recording.begin_s + lag_s
         unit = settings.ptu or PtuSettings()
         step_rad = unit.resolution_arcsec * ARCSEC_RAD
         return StatedCause(
@@ -196,13 +204,19 @@ class _Places:
             places=() if cause.where == "all" else tuple(cause.where.replace(",", " ").split()),
             values={name: scalar.value for name, scalar in cause.parameters.items()},
             zero_s=zero_s,
-            begin_s=settings.session_s[0],
+            begin_s=zero_s + recording.begin_s,
             end_s=zero_s + recording.end_s,
             step_rad={"pan": unit.pan_sign * step_rad, "tilt": unit.tilt_sign * step_rad},
             latitude_deg=settings.latitude_deg,
             heading_deg=settings.heading_deg,
             board=None if board_id is None else self._stated_board(board_id),
         )
+
+    def _lag_s(self, board_id: str) -> float:
+        """Return how long after the motion a board samples it, without its low-pass."""
+        filter_s = butterworth_delay_s(self.truths[board_id].imu.bandwidth_hz)
+        total_s = self.twin_boards[board_id].time_offset.value
+        return max(total_s - filter_s - self.link_delays_s[board_id], 0.0)
 
     def _stated_board(self, board_id: str) -> StatedBoard:
         imu = self.truths[board_id].imu
