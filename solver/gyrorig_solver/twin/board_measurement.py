@@ -33,7 +33,7 @@ MIN_TEMPERATURES = 2
 MAX_RELATIVE_LEVEL_STD = 0.7  # beyond, a recording does not determine a level
 
 
-def measure_board(data: BoardData, criticised: CriticisedFit, lateness_s: float = 0.0) -> TwinBoard:
+def measure_board(data: BoardData, criticised: CriticisedFit) -> TwinBoard:
     """Return what the fit and the samples of one board say about it.
 
     A field without a value is left out, so that it keeps the default of the emulator.
@@ -41,7 +41,6 @@ def measure_board(data: BoardData, criticised: CriticisedFit, lateness_s: float 
     Args:
         data: of the board. If there are several recordings, bias and clock are those of the last.
         criticised: its fit.
-        lateness_s: by how much the clock mapping dates the samples too late.
     """
     fit, samples, recording = criticised.fit, data.samples[-1], data.recordings[-1]
     gain_source: Source = "recording" if np.isfinite(fit.gain).any() else "default"
@@ -55,7 +54,7 @@ def measure_board(data: BoardData, criticised: CriticisedFit, lateness_s: float 
     return TwinBoard(
         gain=matrix(np.where(is_known, fit.gain, np.eye(3)), deviations, "1", gain_source),
         bias=bias or Vector((0.0, 0.0, 0.0), None, "rad/s", "default"),
-        time_offset=_time_offset(fit, samples, lateness_s),
+        time_offset=_time_offset(fit, samples),
         noise_density=white,
         bias_instability=flicker,
         rate_random_walk=walk,
@@ -74,10 +73,10 @@ def _stated(value: float | None, unit: str) -> Scalar | None:
     return None if value is None else scalar(value, None, unit)
 
 
-def _time_offset(fit: GyroFit, samples: GyroSamples, lateness_s: float) -> Scalar:
+def _time_offset(fit: GyroFit, samples: GyroSamples) -> Scalar:
     """Return the whole lag of the samples, with the delay of the low-pass."""
     std_s = fit.std.get("time_offset", math.nan)
-    offset = scalar(fit.time_offset_s - lateness_s, std_s, "s")
+    offset = scalar(fit.time_offset_s, std_s, "s")
     bandwidth_hz = samples.bandwidth_hz
     # The delay at zero frequency of a second-order Butterworth.
     low_pass_s = 0.0 if bandwidth_hz is None else math.sqrt(0.5) / (math.pi * bandwidth_hz)

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gyrorig_protocol.twin import Posterior
+from gyrorig_protocol.twin import Posterior, TwinUnit
 from gyrorig_solver.data import FloatArray
 from gyrorig_solver.estimate import BASE_PARAMETERS, ConvergedFit, GyroFit
 from gyrorig_solver.model import FACTOR_NAMES, GAIN_NAMES, GainFactors, factor_jacobian
@@ -25,6 +25,7 @@ from gyrorig_solver.twin.twin_causes import CollectedCauses
 
 MAX_NAMES = 400  # of the posterior in a document
 MIN_OFFSET_STD_S = 1e-7
+START_DELAY = "unit.start_delay"  # its name in the posterior
 DIGITS = 9  # of a number in the document
 TIME_OFFSET = BASE_PARAMETERS - 1
 
@@ -43,9 +44,12 @@ class NamedCovariance:
 
 
 def join_covariances(
-    fits: Mapping[str, CriticisedFit], collected: CollectedCauses
+    fits: Mapping[str, CriticisedFit], collected: CollectedCauses, unit: TwinUnit | None
 ) -> Posterior | None:
-    """Return the joint covariance of all boards, None if it is empty or too large."""
+    """Return the joint covariance of all boards, None if it is empty or too large.
+
+    The start delay is in it with a negligible variance, so that no draw changes it.
+    """
     boards = [board_covariance(name, criticised, collected) for name, criticised in fits.items()]
     shared = tuple(
         f"causes.{number}.{parameter}"
@@ -54,6 +58,9 @@ def join_covariances(
         for parameter in cause.parameters
     )
     joint = _join(boards, shared)
+    if joint.names and unit is not None and unit.start_delay is not None:
+        matrix = _block_diagonal(joint.matrix, np.array([[MIN_OFFSET_STD_S**2]]))
+        joint = NamedCovariance((*joint.names, START_DELAY), matrix)
     if not joint.names or len(joint.names) > MAX_NAMES:
         return None
     # Equal rounding of both triangles keeps the matrix symmetric.

@@ -4,8 +4,7 @@ A sample arrives after the minimum latency of its link and an excess. The excess
 the jitter of the host. If the host stalls, all bytes wait and arrive together, so that samples one
 period apart have excesses that decrease by one period.
 
-What to use when: `measure_link` for the recordings of all boards; `stamp_lateness_s` for its effect
-on the samples of one board.
+What to use when: `measure_link` for the recordings of all boards.
 """
 
 import math
@@ -18,7 +17,7 @@ from gyrorig_protocol.board import TimeReply, TimeRequest
 from gyrorig_protocol.board_protocols import SerialProtocol, find_protocol
 from gyrorig_protocol.errors import GyrorigError
 from gyrorig_protocol.identity import BoardId
-from gyrorig_protocol.recording.recording import RecordArray, Recording, times_ns
+from gyrorig_protocol.recording.recording import RecordArray, times_ns
 from gyrorig_protocol.twin import Scalar, TwinLink
 from gyrorig_solver.data import BoolArray, FloatArray
 from gyrorig_solver.data.samples import GyroSamples, positive_number
@@ -84,7 +83,6 @@ class HostFloor:
     std_s: float
     excess_s: float  # mean of an exchange above its smallest time, without stalls
     median_excess_s: float
-    lateness_s: float  # of the clock mapping: half of what the reply takes longer than the request
 
 
 def measure_latency(boards: Sequence[GyroSamples]) -> Latency | None:
@@ -163,7 +161,6 @@ def measure_floor(pings: RecordArray, tick_hz: float, baud: float) -> HostFloor 
         std_s=floors_s / math.sqrt(12.0),
         excess_s=float(np.mean(excess_s[excess_s < STALL_FACTOR * usual_s + 1e-6])),
         median_excess_s=usual_s,
-        lateness_s=(reply_s - request_s) / 2.0,
     )
 
 
@@ -250,23 +247,6 @@ def measure_link(boards: Mapping[str, BoardData]) -> MeasuredLink:
         if floor is not None:
             floors[name] = floor
     return MeasuredLink(_section(latency, _best_floor(floors)), latency, floors)
-
-
-def stamp_lateness_s(recording: Recording, samples: GyroSamples, floor: HostFloor | None) -> float:
-    """Return by how much the clock mapping dates the samples of a board too late.
-
-    Pings are halved, but a reply is longer than its request. Without pings, a sample is dated when
-    its last byte arrives at the earliest.
-    """
-    if not _is_live(samples):
-        return 0.0
-    if samples.latency_bounds is not None:
-        return 0.0 if floor is None else floor.lateness_s
-    name, baud = board_line(recording, samples.board)
-    protocol = _serial_protocol(name)
-    if baud is None or protocol is None:
-        return 0.0
-    return protocol.sample_bytes * BITS_PER_BYTE / baud + USUAL_FLOORS_S / 2.0
 
 
 def _is_live(samples: GyroSamples) -> bool:

@@ -20,7 +20,7 @@ from gyrorig_solver.pipeline import BoardData, CriticisedFit, has_unit
 from gyrorig_solver.storage import write_file
 from gyrorig_solver.twin.board_measurement import measure_board
 from gyrorig_solver.twin.joint_covariance import join_covariances
-from gyrorig_solver.twin.link_measurement import MeasuredLink, measure_link, stamp_lateness_s
+from gyrorig_solver.twin.link_measurement import MeasuredLink, measure_link
 from gyrorig_solver.twin.rig_mapping import build_rig_mapping
 from gyrorig_solver.twin.twin_causes import collect_causes
 from gyrorig_solver.twin.unit_measurement import UNIT_RECORD, first_move_s, measure_unit
@@ -77,23 +77,17 @@ def build_twin(boards: Mapping[str, BoardData], fits: Mapping[str, CriticisedFit
     )
     link = measure_link(boards)
     collected = collect_causes(fits)
+    unit = _measure_unit(boards, fits, link)
     twin = Twin(
         schema="gyrorig/twin/1",
         created=datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ"),
         software=installed_version("gyrorig"),
         recordings=tuple(_recording_entry(recording, boards) for recording in recordings),
-        unit=_measure_unit(boards, fits, link),
+        unit=unit,
         link=link.section,
-        boards={
-            name: measure_board(
-                data,
-                fits[name],
-                stamp_lateness_s(data.recordings[-1], data.samples[-1], link.floors.get(name)),
-            )
-            for name, data in boards.items()
-        },
+        boards={name: measure_board(data, fits[name]) for name, data in boards.items()},
         causes=tuple(collected.causes),
-        posterior=join_covariances(fits, collected),
+        posterior=join_covariances(fits, collected, unit),
     )
     check_twin(twin, TWIN_NAME, InputError)
     rig = build_rig_mapping(recordings[-1], twin)
