@@ -69,10 +69,10 @@ def _start_delay(motion: ReferenceMotion, host: HostLatency) -> Scalar | None:
     """Return the usual time from the last byte of an order until its move starts."""
     if not isinstance(motion, PanTiltReference):
         return None
-    table, starts_s = motion.move_fit.table, motion.move_fit.parameters.start_times_s
-    if not starts_s.size:
+    delays_s = motion.start_delays_s
+    if not delays_s.size:
         return None
-    delay_s = float(np.median(starts_s - table.command_times_s)) - host.write_s
+    delay_s = float(np.median(delays_s)) - host.write_s
     return scalar(max(delay_s, 0.0), motion.common_shift_std_s, "s")
 
 

@@ -70,16 +70,16 @@ def unit_settings(unit: TwinUnit | None, ptu: PtuSettings) -> PtuSettings:
     return replace(
         ptu,
         command_time_ms=answer_s * 1e3,
-        sample_fraction=min(max(start_s / answer_s, 0.0), 1.0),
+        sample_fraction=start_s / answer_s,  # `starting_earlier` limits it
         **facts,
     )
 
 
 def starting_earlier(ptu: PtuSettings, start_delay_s: float) -> PtuSettings:
-    """Return a unit whose moves start earlier after a command."""
+    """Return a unit whose moves start earlier after a command, at most with the reply."""
     answer_s = ptu.command_time_ms * 1e-3
     fraction = ptu.sample_fraction - start_delay_s / answer_s
-    return replace(ptu, sample_fraction=max(fraction, 0.0))
+    return replace(ptu, sample_fraction=min(max(fraction, 0.0), 1.0))
 
 
 def board_settings(board: TwinBoard, settings: BoardSettings) -> BoardSettings:

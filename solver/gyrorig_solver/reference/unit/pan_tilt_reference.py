@@ -209,6 +209,14 @@ class PanTiltReference:
         is_known = std < MAX_KNOWN_STD_RATIO * LOG_ACCELERATION_PRIOR_STD
         return estimate, np.where(is_known, std, np.inf)
 
+    @property
+    def start_delays_s(self) -> FloatArray:
+        """The time from each command to the start of its motion under the law, by the polls."""
+        return np.asarray(
+            self._polled_fit.parameters.start_times_s - self.move_fit.table.command_times_s,
+            dtype=np.float64,
+        )
+
     @cached_property
     def profiles(self) -> tuple[tuple[int, MotionProfile], ...]:
         """Axis and profile of every move at the current values, in counted steps."""
