@@ -116,7 +116,8 @@ def _unit_lines(twin: Twin) -> Iterator[str]:
     ]
     if unit.counter.skew is not None:
         texts.append(f"clock {_value_text(unit.counter.skew, 1e6, 'ppm')}")
-    yield f"  unit {(unit.facts.model or ''):<16} {', '.join(texts)}"
+    model = f"{unit.facts.model}: " if unit.facts.model else ""
+    yield f"  unit                  {model}{', '.join(texts)}"
 
 
 def _link_lines(twin: Twin) -> Iterator[str]:
