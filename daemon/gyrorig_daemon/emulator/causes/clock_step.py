@@ -41,7 +41,7 @@ class ClockStep(Cause):
         step_s = stated.number("step")
         return (
             CarriedCause(
-                {"step": Quantity(step_s, "s"), "at": stated.event_s()},
+                {"step": Quantity(step_s, "s"), "at": stated.lag_event_s()},
                 delay_s=max(-step_s, 0.0),  # here the samples are never early
             ),
         )
