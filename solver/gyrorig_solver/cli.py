@@ -34,6 +34,7 @@ _COMMANDS = {
     "compare": ("compare_command", "Compare a calibration with true values."),
     "twin": ("twin_command", "Write the emulated rig that behaves like a recorded one."),
     "explain": ("explain_command", "Find errors in the rig model and their causes."),
+    "twin-check": ("twin_check_command", "Compare recordings with a twin."),
     "apply": ("apply_command", "Apply a calibration to a recording or a table."),
     "export": ("export_command", "Export as C, ROS, Kalibr, PX4, ArduPilot or JSON."),
     "report": ("report_command", "Write the HTML report of a calibration again."),
@@ -81,7 +82,7 @@ class _LazyGroup(click.Group):
         if cmd_name in _DAEMON_COMMANDS:
             module_name, attribute = "daemon_commands", "daemon_command_of"
         elif cmd_name in _COMMANDS:
-            module_name, attribute = _COMMANDS[cmd_name][0], f"{cmd_name}_command"
+            module_name, attribute = _COMMANDS[cmd_name][0], f"{cmd_name.replace('-', '_')}_command"
         else:
             return None
         module = importlib.import_module(f"gyrorig_solver.commands.{module_name}")

@@ -50,8 +50,10 @@ from gyrorig_solver.estimate.noise.noise_model import (
     PRIOR_LOG_STD,
     NoiseModel,
     Periodogram,
+    Sampling,
     Spectrum,
     bin_spectrum,
+    fit_noise_levels,
     nominal_levels,
     unit_densities,
 )
@@ -73,7 +75,7 @@ from gyrorig_solver.estimate.parameter_layout import (
     SESSION_PARAMETERS,
     ParameterLayout,
 )
-from gyrorig_solver.estimate.series import Series, choose_grids
+from gyrorig_solver.estimate.series import Series, build_series, choose_grids
 from gyrorig_solver.estimate.session_fit import SessionFit
 from gyrorig_solver.estimate.shared_parameters import is_unit_cause
 from gyrorig_solver.estimate.temperature.temperature_fit import TemperatureFit, fit_temperature
@@ -109,6 +111,7 @@ __all__ = [
     "ObservabilityReport",
     "ParameterLayout",
     "Periodogram",
+    "Sampling",
     "ScoreStatistics",
     "Series",
     "SessionFit",
@@ -118,6 +121,7 @@ __all__ = [
     "WhitenedSignals",
     "analyse_observability",
     "bin_spectrum",
+    "build_series",
     "calibrate_as_printed",
     "choose_grids",
     "confirm_fit",
@@ -128,6 +132,7 @@ __all__ = [
     "fit_gravity",
     "fit_likelihood",
     "fit_motion",
+    "fit_noise_levels",
     "fit_temperature",
     "fit_turns",
     "free_term",

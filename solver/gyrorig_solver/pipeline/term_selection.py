@@ -14,9 +14,8 @@ from gyrorig_protocol.errors import UsageError
 from gyrorig_protocol.recording.recording import Recording
 from gyrorig_solver.data import FloatArray
 from gyrorig_solver.data.samples import GyroSamples
-from gyrorig_solver.estimate import FittedTerm, SessionFit, fit_likelihood, free_term
+from gyrorig_solver.estimate import FittedTerm, SessionFit, build_series, fit_likelihood, free_term
 from gyrorig_solver.estimate.fitted_term import fixed_term
-from gyrorig_solver.estimate.series import build_series
 from gyrorig_solver.estimate.thermal_order import MIN_SPAN_K, choose_order
 from gyrorig_solver.model import RecordingContext, Term, find_term, limit_to_recording
 from gyrorig_solver.model.catalogue import catalogue

@@ -8,8 +8,7 @@ from gyrorig_protocol.errors import UsageError
 from gyrorig_protocol.profile import SensorProfile
 from gyrorig_protocol.profile.sensor_profile import FullScaleRange
 from gyrorig_solver.data import FloatArray
-from gyrorig_solver.estimate import NoiseModel, choose_grids, nominal_levels
-from gyrorig_solver.estimate.noise.noise_model import Sampling
+from gyrorig_solver.estimate import NoiseModel, Sampling, choose_grids, nominal_levels
 
 
 @dataclass(frozen=True, slots=True, eq=False)

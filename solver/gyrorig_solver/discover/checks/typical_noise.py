@@ -25,10 +25,10 @@ from gyrorig_solver.estimate import (
     Periodogram,
     Spectrum,
     bin_spectrum,
+    fit_noise_levels,
     nominal_levels,
     unit_densities,
 )
-from gyrorig_solver.estimate.noise.noise_model import fit_noise_levels
 from gyrorig_solver.numerics import chi2_upper_tail
 
 EXCESS_RATIO = 5.0  # times the random walk of a typical part; more is reported as unusual

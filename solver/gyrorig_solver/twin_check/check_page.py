@@ -1,0 +1,168 @@
+"""The page "Simulation before / after / measured": one self-contained HTML file.
+
+What to use when: `render_check` for the text, which the caller writes.
+"""
+
+from typing import Any
+
+import numpy as np
+
+from gyrorig_solver.data import FloatArray
+from gyrorig_solver.report.calibration_page import fill_template
+from gyrorig_solver.report.figure_layout import (
+    AXIS_COLOURS,
+    BEFORE,
+    INK,
+    SOFT,
+    draw_rates_over_time,
+    stacked_panels,
+)
+from gyrorig_solver.twin_check.check_wording import (
+    by_key,
+    cause_texts,
+    difference_text,
+    differences,
+    gain_text,
+    is_different,
+    level,
+    manager_text,
+    p_text,
+    residual_rms,
+    verdict_text,
+)
+from gyrorig_solver.twin_check.feature_comparison import FamilyComparison
+from gyrorig_solver.twin_check.recording_check import BoardCheck
+from gyrorig_solver.twin_check.session_features import SENSOR_AXES
+from gyrorig_solver.twin_check.twin_folder_check import TwinCheck
+
+OVERLAY_S = 3.0  # of a close-up of moves
+BAND_SIGMA = 2.0
+NOT_DRAWN = ("clock", "latency", "jitter", "answer_time", "speed", "start_delay", "rest_position")
+
+
+def render_check(check: TwinCheck) -> str:
+    """Return the page as HTML."""
+    differs = any(is_different(board.after) for board in check.boards)
+    view = {
+        "title": "Simulation before / after / measured",
+        "boards": ", ".join(dict.fromkeys(board.board for board in check.boards)),
+        "created": check.twin.created,
+        "tone": "limited" if differs else "good",
+        "headline": "The twin still differs" if differs else "No difference found",
+        "manager": manager_text(check),
+        "gain": gain_text(check),
+        "causes": cause_texts(check.twin),
+        "sections": [_section(board) for board in check.boards],
+        "draws": check.draws,
+    }
+    return fill_template("twin_check.html.j2", view)
+
+
+def _section(board: BoardCheck) -> dict[str, Any]:
+    before = by_key(board.before.comparisons)
+    close_up = _close_up(board)
+    rows = [
+        {
+            "title": comparison.family.title,
+            "before": p_text(before[comparison.family.key].p_value)
+            if comparison.family.key in before
+            else "-",
+            "after": p_text(comparison.p_value),
+            "size": f"{comparison.size:.2g} {comparison.family.unit}",
+            "bad": comparison.p_value < level(board.after),
+        }
+        for comparison in board.after.comparisons
+    ]
+    return {
+        "name": f"{board.board} in {board.recording}",
+        "kind": "not used for the fit" if board.is_held_out else "used for the fit",
+        "verdict": verdict_text(board),
+        "tiles": [
+            ("default simulation", board.before.nats_per_s, residual_rms(board.before)),
+            ("twin", board.after.nats_per_s, residual_rms(board.after)),
+            ("noise alone", board.after.ceiling_nats_per_s, None),
+        ],
+        "share": None
+        if not board.is_held_out or board.recovered_share is None
+        else f"{100.0 * board.recovered_share:.2f} %",
+        "left": [difference_text(comparison) for comparison in differences(board.after)],
+        "rows": rows,
+        "overlay": close_up,
+        "residuals": draw_rates_over_time(
+            board.session.block_time_s,
+            [(board.before.residual_rad_s, BEFORE), (board.after.residual_rad_s, None)],
+            4.6,
+        ),
+        "figures": [
+            {"svg": _family_figure(comparison), "words": comparison.family.title.capitalize()}
+            for comparison in board.after.comparisons
+            if comparison.family.key not in NOT_DRAWN
+        ],
+    }
+
+
+def _close_up(board: BoardCheck) -> str:
+    """Draw the rates where the default simulation is most wrong, relative to all of the time."""
+    session = board.session
+    window = max(2, round(OVERLAY_S * session.sampling.rate_hz))
+    error = (board.before.residual_rad_s**2).sum(axis=1)
+    moving = np.abs(np.gradient(session.stage_rate_rad_s, axis=0)).sum(axis=1) > 0.0
+    summed = np.convolve(error * (1.0 + moving), np.ones(window), mode="valid")
+    first = int(np.argmax(summed))
+    rows = slice(first, first + window)
+    figure, panels = stacked_panels(3, 5.2)
+    for axis, panel in enumerate(panels):
+        series: tuple[tuple[FloatArray, str, str], ...] = (
+            (board.before.predicted_rad_s, BEFORE, "default simulation"),
+            (board.after.predicted_rad_s, AXIS_COLOURS[axis], "twin"),
+        )
+        panel.plot(
+            session.block_time_s[rows],
+            np.degrees(session.rate_rad_s[rows, axis]),
+            colour=INK,
+            linewidth=0.0,
+            markersize=2.2,
+            label="measured",
+        )
+        for rates, colour, label in series:
+            panel.plot(
+                session.block_time_s[rows],
+                np.degrees(rates[rows, axis]),
+                colour=colour,
+                linewidth=1.4,
+                label=label,
+            )
+        panel.ylabel = f"{SENSOR_AXES[axis]}  deg/s"
+        panel.has_key = axis == 0
+    panels[-1].xlabel = "time, s"
+    return figure.svg()
+
+
+def _family_figure(comparison: FamilyComparison) -> str:
+    """Draw the measured features over the band of the twin's draws."""
+    family = comparison.family
+    figure, panels = stacked_panels(3, 4.2)
+    for axis, panel in enumerate(panels):
+        rows = np.flatnonzero(
+            [name == SENSOR_AXES[axis] for name in family.axis]
+            & np.isfinite(family.values)
+            & np.isfinite(comparison.mean)
+        )
+        x = family.x[rows]
+        scale = np.log10(x) if family.key in ("spectrum", "allan") else x
+        mean, spread = comparison.mean[rows], BAND_SIGMA * comparison.std[rows]
+        panel.band(scale, mean - spread, mean + spread, colour="var(--band)")
+        panel.plot(scale, mean, colour=SOFT, linewidth=1.0, linestyle="--", label="twin")
+        panel.plot(
+            scale,
+            family.values[rows],
+            colour=AXIS_COLOURS[axis],
+            linewidth=0.0,
+            markersize=5.0,
+            label="measured",
+        )
+        panel.ylabel = f"{SENSOR_AXES[axis]}  {family.unit}"
+        panel.has_key = axis == 0
+    label = family.covariate
+    panels[-1].xlabel = f"log10 of {label}" if family.key in ("spectrum", "allan") else label
+    return figure.svg()

@@ -1,0 +1,202 @@
+"""Texts of a twin check: verdict, what the simulation got wrong, and plain values for JSON.
+
+What to use when: `summarise` for the terminal, `to_plain` for `--json`; `differences` for what a
+simulation gets wrong; `gain_text` for the gain on new recordings.
+"""
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from gyrorig_protocol.twin import Twin
+from gyrorig_solver.twin_check.feature_comparison import FamilyComparison
+from gyrorig_solver.twin_check.recording_check import BoardCheck, StageCheck
+from gyrorig_solver.twin_check.twin_folder_check import TwinCheck
+
+FALSE_ALARM = 0.01  # of comparison board in comparison recording, all statistics together
+
+
+def level(stage: StageCheck) -> float:
+    """Return the limit of a p-value (Bonferroni). The density is one statistic, too."""
+    return FALSE_ALARM / (len(stage.comparisons) + 1)
+
+
+def differences(stage: StageCheck) -> list[FamilyComparison]:
+    """Return the significant differences, the largest first."""
+    different = [
+        comparison for comparison in stage.comparisons if comparison.p_value < level(stage)
+    ]
+    return sorted(different, key=lambda comparison: -comparison.distance)
+
+
+def is_different(stage: StageCheck) -> bool:
+    """Return whether a statistic or the density differs."""
+    return bool(differences(stage)) or stage.density_p_value < level(stage)
+
+
+def difference_text(comparison: FamilyComparison) -> str:
+    """Return one difference in plain words."""
+    family, row = comparison.family, comparison.worst
+    axis = f", axis {family.axis[row]}" if family.axis[row] else ""
+    return (
+        f"{family.title}: {_number(comparison.size)} {family.unit} rms; largest at "
+        f"{family.covariate} = {_number(float(family.x[row]))}{axis}: measured "
+        f"{_number(float(family.values[row]))}, simulated {_number(float(comparison.mean[row]))} "
+        f"± {_number(float(comparison.std[row]))} {family.unit}"
+    )
+
+
+def cause_texts(twin: Twin) -> list[str]:
+    """Return the causes of the twin, with their places."""
+    return [f"{cause.cause.replace('_', ' ')} ({cause.where})" for cause in twin.causes]
+
+
+def residual_rms(stage: StageCheck) -> float:
+    """Return the rms of measured minus predicted rate over all axes, deg/s."""
+    return float(np.degrees(np.sqrt((stage.residual_rad_s**2).sum(axis=1).mean())))
+
+
+def noise_rms(stage: StageCheck) -> float:
+    """Return the same for a simulated session."""
+    return float(np.degrees(np.sqrt((stage.draw_residual_rad_s**2).sum(axis=1).mean())))
+
+
+def manager_text(check: TwinCheck) -> str:
+    """Return what was wrong, why, what it means, and how much better it is now."""
+    chosen = check.held_out or check.boards
+    before = _mean([residual_rms(board.before) for board in chosen])
+    after = _mean([residual_rms(board.after) for board in chosen])
+    noise = _mean([noise_rms(board.after) for board in chosen])
+    causes = cause_texts(check.twin)
+    reason = (
+        f"The twin contains the calibration of the board and the named causes: {', '.join(causes)}."
+        if causes
+        else "The twin contains the calibration of the board. The fit named no further cause."
+    )
+    meaning = (
+        " Calibration and causes come from one fit. A calibration without these "
+        "causes is biased by them."
+        if causes
+        else ""
+    )
+    return (
+        f"The default simulation predicts the measured rates with an error of {_number(before)} "
+        f"deg/s rms. {reason}{meaning} With the twin the error is {_number(after)} deg/s; the "
+        f"noise of the simulated sensor alone gives {_number(noise)} deg/s. {gain_text(check)}"
+    )
+
+
+def gain_text(check: TwinCheck) -> str:
+    """Return the gain on recordings that the fit did not use."""
+    if not check.held_out:
+        return (
+            "All recordings of this check were used for the fit, so the check states no gain. "
+            "Check a new recording to measure it."
+        )
+    gains = [board.gain_nats_per_s for board in check.held_out]
+    shares = [board.recovered_share for board in check.held_out]
+    known = [share for share in shares if share is not None]
+    text = (
+        f"On {len(gains)} board recording(s) that the fit did not use, the log predictive density "
+        f"improves by {_number(float(np.mean(gains)))} nats per second"
+    )
+    if known:
+        text += f", which is {100.0 * min(known):.2f} % of what is possible"
+    return f"{text}."
+
+
+def verdict_text(board: BoardCheck) -> str:
+    """Return the verdict; it never claims that the simulation is complete."""
+    count = len(board.after.comparisons) + 1
+    if not is_different(board.after):
+        return (
+            f"No difference found in {count} statistics. Differences smaller than their scatter "
+            "cannot be seen."
+        )
+    different = len(differences(board.after)) + (board.after.density_p_value < level(board.after))
+    return f"The twin differs from the measurement in {different} of {count} statistics."
+
+
+def summarise(check: TwinCheck) -> str:
+    """Return the lines for the terminal."""
+    lines = [manager_text(check)]
+    for board in check.boards:
+        kind = "not used for the fit" if board.is_held_out else "used for the fit"
+        lines += ["", f"{board.board} in {board.recording} ({kind})"]
+        lines.append(
+            f"  log predictive density, nats/s   before {board.before.nats_per_s:.2f}   after "
+            f"{board.after.nats_per_s:.2f}   noise alone {board.after.ceiling_nats_per_s:.2f}   "
+            f"p {board.after.density_p_value:.2g}"
+        )
+        lines.append(f"  {verdict_text(board)}")
+        lines += [f"    {difference_text(comparison)}" for comparison in differences(board.after)]
+    return "\n".join(lines)
+
+
+def to_plain(check: TwinCheck) -> dict[str, Any]:
+    """Return the result as plain values."""
+    return {
+        "schema": "gyrorig/twin-check/1",
+        "draws": check.draws,
+        "causes": [{"cause": cause.cause, "where": cause.where} for cause in check.twin.causes],
+        "boards": [_board_plain(board) for board in check.boards],
+        "failed": [{"recording": name, "error": str(fault)} for name, fault in check.failed],
+    }
+
+
+def _board_plain(board: BoardCheck) -> dict[str, Any]:
+    return {
+        "board": board.board,
+        "recording": board.recording,
+        "sha256": board.sha256,
+        "held_out": board.is_held_out,
+        "different": is_different(board.after),
+        "gain_nats_per_s": board.gain_nats_per_s if board.is_held_out else None,
+        "recovered_share": board.recovered_share if board.is_held_out else None,
+        "before": _stage_plain(board.before),
+        "after": _stage_plain(board.after),
+    }
+
+
+def _stage_plain(stage: StageCheck) -> dict[str, Any]:
+    return {
+        "log_density_nats_per_s": stage.nats_per_s,
+        "noise_alone_nats_per_s": stage.ceiling_nats_per_s,
+        "draws_nats_per_s": stage.draws_nats_per_s.tolist(),
+        "p_value": stage.density_p_value,
+        "residual_rms_deg_s": residual_rms(stage),
+        "statistics": [_comparison_plain(comparison, stage) for comparison in stage.comparisons],
+        "differences": [difference_text(comparison) for comparison in differences(stage)],
+    }
+
+
+def _comparison_plain(comparison: FamilyComparison, stage: StageCheck) -> dict[str, Any]:
+    return {
+        "key": comparison.family.key,
+        "title": comparison.family.title,
+        "distance": comparison.distance,
+        "p_value": comparison.p_value,
+        "different": comparison.p_value < level(stage),
+        "size": comparison.size,
+        "unit": comparison.family.unit,
+    }
+
+
+def p_text(p_value: float) -> str:
+    """Return a p-value for a table."""
+    return "< 1e-6" if p_value < 1e-6 else f"{p_value:.2g}"
+
+
+def by_key(comparisons: Sequence[FamilyComparison]) -> dict[str, FamilyComparison]:
+    """Return comparisons by the key of their family."""
+    return {comparison.family.key: comparison for comparison in comparisons}
+
+
+def _mean(values: Sequence[float]) -> float:
+    return float(np.mean(values))
+
+
+def _number(value: float) -> str:
+    return "unknown" if not math.isfinite(value) else f"{value:.3g}"

@@ -1,0 +1,179 @@
+"""The noise-free rates of a simulation at the sample times of another recording.
+
+Simulated and real unit obey the same orders, but each move begins at its own time: the unit
+answers an order a few milliseconds later or earlier. No simulation can predict these delays one by
+one, therefore they are taken from the recording: each move of the prediction is shifted to
+the start that the position replies of the recording show. The distribution of the delays is
+compared separately, see `session_features`. The remaining error of a start is an unknown of the
+likelihood, see `predictive_density`.
+
+What to use when: `SimulatedRates.of` for a run; `SimulatedRates.at` for the prediction.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Self
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+
+from gyrorig_protocol.errors import InputError
+from gyrorig_solver.data import FloatArray, IntArray
+from gyrorig_solver.twin_check.observed_session import AXES, ObservedSession
+
+# Tilt turns the stage about its x axis, pan about the other two.
+STAGE_AXES_OF = ((1, 2), (0,))
+LEAD_S = 0.01  # a move's shift begins this much before its start: the error of a start
+GAIN_BLOCK_S = 0.5  # means for the gain; longer than the delay of a sensor
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SimulatedRates:
+    """Noise-free rates of one simulated session."""
+
+    own_rad_s: FloatArray  # block means at the session's own samples, (n, 3)
+    rates: CubicSpline  # over the time of the simulated session
+    starts_s: tuple[FloatArray, FloatArray]  # true starts of pan and tilt
+    first_s: float  # time of the first sample
+    gain: FloatArray  # stage to sensor, (3, 3), approximate
+
+    @classmethod
+    def of(cls, session: ObservedSession, board: str, arrays: Mapping[str, FloatArray]) -> Self:
+        """Return the rates of a run.
+
+        Args:
+            session: the recording of the run.
+            board: its name.
+            arrays: of `gyrorigd record --rates`.
+
+        Raises:
+            InputError: the recording and the rates are not of one session.
+        """
+        rows = np.asarray(arrays[f"{board}.number"], dtype=np.int64)
+        hidden, true_s = arrays[f"{board}.hidden_rad_s"], arrays[f"{board}.time_s"]
+        numbers = session.sample_numbers() - int(rows[0])
+        if numbers[0] < 0 or numbers[-1] >= rows.size:
+            raise InputError(
+                "the simulated recording has samples without noise-free rates",
+                "simulate the session again",
+            )
+        inside = np.arange(int(numbers[0]), int(numbers[-1]) + 1)
+        # Between lost samples the mapped time follows the true one.
+        mapped_s = true_s[inside] + np.interp(
+            inside, numbers, session.samples.time_s - true_s[numbers]
+        )
+        starts = tuple(
+            _mapped_starts(arrays[f"{axis}_s"], moves.start_s)
+            for axis, moves in zip(AXES, session.moves, strict=True)
+        )
+        own_means = _own_block_means(session, hidden, numbers)
+        return cls(
+            own_means,
+            CubicSpline(mapped_s, hidden[inside]),
+            (starts[0], starts[1]),
+            float(mapped_s[0]),
+            _approximate_gain(session, own_means),
+        )
+
+    def at(self, session: ObservedSession) -> FloatArray:
+        """Return block means at the samples of another recording, shape (n, 3)."""
+        shifts = self._shifts(session)
+        rate = self._shifted(session.time_s, shifts)
+        return session.block_means(rate)
+
+    def start_derivatives(self, session: ObservedSession) -> list[tuple[int, FloatArray]]:
+        """Return the derivative of `at` by the start of each move: axis and (n, 3), in order."""
+        shifts = self._shifts(session)
+        derivatives = []
+        inverse = np.linalg.inv(self.gain)
+        for axis, moves in enumerate(session.moves):
+            slope = -self.rates(session.time_s + shifts[axis], 1)
+            stage = slope @ inverse.T
+            selector = np.zeros((3, 3))
+            for row in STAGE_AXES_OF[axis]:
+                selector[row, row] = 1.0
+            slope = session.block_means(stage @ (self.gain @ selector).T)
+            bounds = np.searchsorted(
+                session.block_time_s, np.append(moves.start_s - LEAD_S, np.inf)
+            )
+            for first, last in pairwise(bounds.tolist()):
+                column = np.zeros_like(slope)
+                column[first:last] = slope[first:last]
+                derivatives.append((axis, column))
+        return derivatives
+
+    def _shifted(self, time_s: FloatArray, shifts: tuple[FloatArray, FloatArray]) -> FloatArray:
+        """Return the rates with pan and tilt shifted separately, shape (m, 3)."""
+        pan, tilt = (self.rates(time_s + shift) for shift in shifts)
+        inverse = np.linalg.inv(self.gain)
+        tilt_part = self.gain[:, :1] @ inverse[:1]  # sensor to sensor
+        return np.asarray(pan + (tilt - pan) @ tilt_part.T, dtype=np.float64)
+
+    def _shifts(self, session: ObservedSession) -> tuple[FloatArray, FloatArray]:
+        """Return simulated minus measured time at each sample, for pan and tilt."""
+        differences = [
+            _match_starts(moves.start_s, starts)
+            for moves, starts in zip(session.moves, self.starts_s, strict=True)
+        ]
+        known = np.concatenate(differences)
+        typical = float(np.median(known)) if known.size else self.first_s - float(session.time_s[0])
+        shifts = []
+        for moves, difference in zip(session.moves, differences, strict=True):
+            if not difference.size:
+                shifts.append(np.full(session.time_s.size, typical))
+                continue
+            row = np.searchsorted(moves.start_s - LEAD_S, session.time_s, side="right") - 1
+            shifts.append(difference[np.maximum(row, 0)])
+        return shifts[0], shifts[1]
+
+
+def _mapped_starts(true_s: FloatArray, observed_s: FloatArray) -> FloatArray:
+    """Return true starts on the time axis of the recording.
+
+    The two differ by a constant, which the position replies of all moves show.
+    """
+    if not true_s.size or not observed_s.size:
+        return np.zeros(0)
+    return np.asarray(true_s + np.median(_match_starts(true_s, observed_s)), dtype=np.float64)
+
+
+def _match_starts(starts_s: FloatArray, others_s: FloatArray) -> FloatArray:
+    """Return the other start minus the own one for each of some starts, shape of `starts_s`.
+
+    With unequal numbers of moves, each start is matched with the nearest one.
+    """
+    if not starts_s.size or not others_s.size:
+        return np.zeros(0)
+    if starts_s.size == others_s.size:
+        return np.asarray(others_s - starts_s, dtype=np.float64)
+    offset = others_s[0] - starts_s[0]
+    nearest: IntArray = np.abs(others_s[None, :] - starts_s[:, None] - offset).argmin(axis=1)
+    return np.asarray(others_s[nearest] - starts_s, dtype=np.float64)
+
+
+def _own_block_means(session: ObservedSession, rates: FloatArray, numbers: IntArray) -> FloatArray:
+    """Return the block means of the noise-free rates at the session's own samples."""
+    first = int(np.searchsorted(session.samples.time_s, session.time_s[0]))
+    begin = int(numbers[first])
+    return session.block_means(rates[begin : begin + session.time_s.size])
+
+
+def _approximate_gain(session: ObservedSession, rates: FloatArray) -> FloatArray:
+    """Return the gain from means of the stage rate and the sensor's, shape (3, 3).
+
+    It only separates pan from tilt, for shifts of milliseconds; 1 % is enough.
+    """
+    size = max(1, round(GAIN_BLOCK_S * session.sampling.rate_hz))
+    rows = session.block_count // size
+    stage, sensor = (
+        values[: rows * size].reshape(rows, size, 3).mean(axis=1)
+        for values in (session.stage_rate_rad_s, rates)
+    )
+    stage, sensor = stage - stage.mean(axis=0), sensor - sensor.mean(axis=0)
+    moments = stage.T @ stage
+    weak = np.trace(moments) * 1e-6 + 1e-12
+    # A direction without motion keeps the gain 1.
+    return np.asarray(
+        np.linalg.solve(moments + weak * np.eye(3), stage.T @ sensor + weak * np.eye(3)).T
+    )

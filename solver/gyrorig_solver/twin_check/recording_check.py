@@ -1,0 +1,165 @@
+"""The check of one board in one recording: default simulation, twin and measurement.
+
+What to use when: `check_board` for one board; `StageCheck` for the result of one simulation.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from gyrorig_protocol.recording.recording import Recording
+from gyrorig_solver.data import FloatArray
+from gyrorig_solver.twin_check.feature_comparison import (
+    FamilyComparison,
+    compare_families,
+    upper_tail,
+)
+from gyrorig_solver.twin_check.observed_session import ObservedSession
+from gyrorig_solver.twin_check.predicted_rates import SimulatedRates
+from gyrorig_solver.twin_check.predictive_density import (
+    RateDensity,
+    SimulatedNoise,
+    estimate_noise,
+    log_mean_exp,
+    noise_log_density,
+)
+from gyrorig_solver.twin_check.session_features import session_features
+from gyrorig_solver.twin_check.simulation import SimulatedRun
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StageCheck:
+    """The measurement against one simulation."""
+
+    nats_per_s: float  # log predictive density of the measured rates
+    draws_nats_per_s: FloatArray  # the same for each simulated session under the other draws
+    ceiling_nats_per_s: float  # of the simulation's own noise alone
+    density_p_value: float  # that a simulated session is predicted worse
+    comparisons: tuple[FamilyComparison, ...]
+    predicted_rad_s: FloatArray  # noise-free rates of the best draw, (n, 3)
+    residual_rad_s: FloatArray  # (n, 3), measured minus predicted, unknowns fitted
+    draw_residual_rad_s: FloatArray  # the same of one simulated session
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BoardCheck:
+    """One board in one recording."""
+
+    board: str
+    recording: str
+    sha256: str
+    is_held_out: bool
+    session: ObservedSession
+    before: StageCheck
+    after: StageCheck
+
+    @property
+    def recovered_share(self) -> float | None:
+        """Share of the distance to the ceiling by which the twin predicts better, or None."""
+        possible = self.after.ceiling_nats_per_s - self.before.nats_per_s
+        if possible <= 0.0:
+            return None
+        return (self.after.nats_per_s - self.before.nats_per_s) / possible
+
+    @property
+    def gain_nats_per_s(self) -> float:
+        """Gain of the log predictive density by the twin."""
+        return self.after.nats_per_s - self.before.nats_per_s
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Draw:
+    """One simulated session of one board."""
+
+    session: ObservedSession
+    rates: SimulatedRates
+
+    @property
+    def noise_rad_s(self) -> FloatArray:
+        return np.where(
+            self.session.used[:, None], self.session.rate_rad_s - self.rates.own_rad_s, 0.0
+        )
+
+
+def check_board(
+    measured: Recording,
+    board: str,
+    is_held_out: bool,
+    before: Sequence[SimulatedRun],
+    after: Sequence[SimulatedRun],
+) -> BoardCheck:
+    """Compare one board of a recording with the runs of both simulations.
+
+    The first run of each simulation has its best parameters; the others are the draws.
+
+    Args:
+        measured: the recording.
+        board: one of its boards.
+        is_held_out: whether the twin was not fitted to this recording.
+        before: runs of the default simulation.
+        after: runs of the twin.
+
+    Raises:
+        InputError: a recording cannot be compared; see `ObservedSession.of`.
+    """
+    session = ObservedSession.of(measured, board)
+    return BoardCheck(
+        board=board,
+        recording=measured.path.name,
+        sha256=measured.sha256,
+        is_held_out=is_held_out,
+        session=session,
+        before=_check_stage(session, [_draw(run, board) for run in before]),
+        after=_check_stage(session, [_draw(run, board) for run in after]),
+    )
+
+
+def _draw(run: SimulatedRun, board: str) -> _Draw:
+    session = ObservedSession.of(run.recording, board)
+    return _Draw(session, SimulatedRates.of(session, board, run.rates))
+
+
+def _check_stage(session: ObservedSession, runs: Sequence[_Draw]) -> StageCheck:
+    best, draws = runs[0], list(runs[1:])
+    noise = estimate_noise([run.noise_rad_s for run in runs], session.sampling)
+    density = RateDensity(session, best.rates, noise)
+    by_draw = np.array([density.log_density(draw.rates.at(session)) for draw in draws])
+    predicted = best.rates.at(session)
+    residual = density.residual(predicted)
+    limits: dict[str, tuple[float, float]] = {}
+    measured = session_features(session, density, residual, limits)
+    simulated, nats, first_residual = [], [], residual
+    for row, draw in enumerate(draws):
+        own_density = RateDensity(draw.session, best.rates, noise)
+        others = [other for k, other in enumerate(draws) if k != row]
+        nats.append(_mixture(own_density, draw.session, others) / draw.session.duration_s)
+        draw_residual = own_density.residual(best.rates.at(draw.session))
+        simulated.append(session_features(draw.session, own_density, draw_residual, limits))
+        if row == 0:
+            first_residual = draw_residual
+    nats_per_s = log_mean_exp(by_draw) / session.duration_s
+    draws_nats_per_s = np.array(nats)
+    return StageCheck(
+        nats_per_s=nats_per_s,
+        draws_nats_per_s=draws_nats_per_s,
+        ceiling_nats_per_s=_ceiling(runs, noise),
+        density_p_value=upper_tail(-nats_per_s, -draws_nats_per_s),
+        comparisons=tuple(compare_families(measured, simulated)),
+        predicted_rad_s=predicted,
+        residual_rad_s=residual,
+        draw_residual_rad_s=first_residual,
+    )
+
+
+def _mixture(density: RateDensity, session: ObservedSession, draws: Sequence[_Draw]) -> float:
+    return log_mean_exp(np.array([density.log_density(draw.rates.at(session)) for draw in draws]))
+
+
+def _ceiling(runs: Sequence[_Draw], noise: SimulatedNoise) -> float:
+    """Return the mean log density of pure noise, nats per second."""
+    return float(
+        np.mean(
+            [noise_log_density(run.noise_rad_s, noise) / run.session.duration_s for run in runs]
+        )
+    )

@@ -1,0 +1,139 @@
+"""The check of a twin's folder: runs both simulations for each recording and board.
+
+What to use when: `check_twin_folder`. The default simulation is the twin's rig file without its
+section `twin`: the same devices on the same ports, with the properties of the shipped emulator.
+"""
+
+import tempfile
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from gyrorig_protocol.documents import dump_yaml, parse_yaml
+from gyrorig_protocol.errors import GyrorigError, UsageError
+from gyrorig_protocol.recording.recording import Recording
+from gyrorig_protocol.twin import Twin, parse_twin
+from gyrorig_solver.twin_check.recording_check import BoardCheck, check_board
+from gyrorig_solver.twin_check.simulation import Simulator, run_draws
+
+TWIN_FILE = "twin.yaml"
+MIN_DRAWS, DEFAULT_DRAWS = 5, 20
+SHARE_OF_DEFAULT = 3  # the default simulation has no posterior and needs fewer draws
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TwinCheck:
+    """The check of all recordings."""
+
+    twin: Twin
+    draws: int
+    boards: tuple[BoardCheck, ...]
+    failed: tuple[tuple[str, GyrorigError], ...]  # recording, error
+
+    @property
+    def held_out(self) -> tuple[BoardCheck, ...]:
+        """The results of recordings that the twin was not fitted to."""
+        return tuple(check for check in self.boards if check.is_held_out)
+
+
+def check_twin_folder(
+    folder: Path,
+    recordings: Sequence[Recording],
+    draws: int = DEFAULT_DRAWS,
+    board: str | None = None,
+    on_run: Callable[[int, int], None] = lambda _finished, _total: None,
+) -> TwinCheck:
+    """Compare measured recordings with the default simulation and with a twin.
+
+    Args:
+        folder: of the twin, with `twin.yaml`.
+        recordings: measured.
+        draws: of the twin's posterior.
+        board: only this board; None: all boards of the twin.
+        on_run: called after each simulated session with the number of finished ones and of all.
+
+    Raises:
+        UsageError: the folder has no valid twin, or the daemon is not installed.
+        GyrorigError: the only recording cannot be checked.
+    """
+    path = folder / TWIN_FILE
+    text = _read_twin(path)
+    twin = parse_twin(text, str(path))
+    fitted = {entry.sha256 for entry in twin.recordings}
+    checks: list[BoardCheck] = []
+    failed: list[tuple[str, GyrorigError]] = []
+    before_draws = max(MIN_DRAWS, draws // SHARE_OF_DEFAULT)
+    total = len(recordings) * (draws + before_draws + 2)
+    finished = 0
+
+    def count_run() -> None:
+        nonlocal finished
+        finished += 1
+        on_run(finished, total)
+
+    with tempfile.TemporaryDirectory(prefix="gyrorig-twin-check-") as scratch_name:
+        scratch = Path(scratch_name)
+        default_path = scratch / "default.yaml"
+        default_path.write_text(_without_twin(text, path), encoding="utf-8")
+        for number, recording in enumerate(recordings):
+            try:
+                boards = _boards(twin, recording, board)
+                runs = [
+                    list(
+                        run_draws(
+                            simulator,
+                            recording.path,
+                            range(count + 1),
+                            scratch / f"{number}-{name}",
+                            count_run,
+                        )
+                    )
+                    for name, simulator, count in (
+                        ("before", Simulator(default_path, is_twin=False), before_draws),
+                        ("after", Simulator(path), draws),
+                    )
+                ]
+                is_held_out = recording.sha256 not in fitted
+                checks += [
+                    check_board(recording, name, is_held_out, runs[0], runs[1]) for name in boards
+                ]
+            except GyrorigError as fault:
+                if len(recordings) == 1:
+                    raise
+                failed.append((recording.path.name, fault))
+    if failed and not checks:
+        raise failed[0][1]
+    return TwinCheck(twin, draws, tuple(checks), tuple(failed))
+
+
+def _read_twin(path: Path) -> bytes:
+    try:
+        return path.read_bytes()
+    except OSError as fault:
+        raise UsageError(
+            f"the twin {path} cannot be read ({fault.strerror})",
+            "give the folder that `gyrorig twin` wrote",
+        ) from fault
+
+
+def _without_twin(text: bytes, path: Path) -> str:
+    """Return the rig file of the default simulation of the same devices."""
+    document = parse_yaml(text, str(path), UsageError)
+    return dump_yaml({key: value for key, value in document.items() if key != "twin"})
+
+
+def _boards(twin: Twin, recording: Recording, board: str | None) -> list[str]:
+    """Return the boards that twin and recording both have.
+
+    Raises:
+        UsageError: there are none.
+    """
+    boards: list[str] = [
+        name for name in recording.board_ids if name in twin.boards and board in (None, name)
+    ]
+    if not boards:
+        raise UsageError(
+            f"the twin has none of the requested boards of {recording.path.name}",
+            f"its boards are {', '.join(twin.boards)}",
+        )
+    return boards

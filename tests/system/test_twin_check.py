@@ -1,0 +1,73 @@
+"""`gyrorig twin-check` on a rig with a hidden cause: before, after, and a twin that lacks it."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from gyrorig_daemon.cli import run as run_daemon
+from gyrorig_protocol.documents import dump_yaml, parse_yaml
+from gyrorig_solver.cli import run
+from gyrorig_solver.commands.project_files import project_file
+
+HIDDEN = "backlash@pan"
+
+
+def record(folder: Path, program: str, session_seed: int) -> Path:
+    """Record the rig with the hidden cause; return the recording."""
+    arguments = [
+        *("record", "--simulated-time", "--config", str(project_file("rig.yaml"))),
+        *("--program", str(project_file("programs", program)), "--seed", "5", "--hide", HIDDEN),
+        *("--session-seed", str(session_seed), "--session", f"s{session_seed}"),
+        *("--out", str(folder)),
+    ]
+    assert run_daemon(arguments) == 0
+    return next(folder.glob(f"*_s{session_seed}.mcap"))
+
+
+@pytest.fixture(scope="module")
+def session_files(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    """Return the folder of the twin, and a recording that it was not fitted to."""
+    folder = tmp_path_factory.mktemp("twin-check")
+    fitted = record(folder, "survey-40.yaml", 11)
+    assert run(["-q", "twin", str(fitted), "--out", str(folder / "twin")]) == 0
+    return folder / "twin", record(folder, "quick.yaml", 12)
+
+
+def check(folder: Path, recording: Path, draws: int = 8) -> Any:
+    """Run the command; return its result for the only board."""
+    assert run(["-q", "twin-check", str(recording), str(folder), "--draws", str(draws)]) == 0
+    page = (folder / "twin-check.html").read_text()
+    assert "Simulation before / after / measured" in page
+    result = json.loads((folder / "twin-check.json").read_text())
+    assert result["schema"] == "gyrorig/twin-check/1"
+    return result["boards"][0]
+
+
+def test_the_twin_predicts_a_new_recording(session_files: tuple[Path, Path]) -> None:
+    """Another program, other noise: the default simulation is wrong, the twin is not."""
+    board = check(*session_files)
+    assert board["held_out"]
+    assert board["before"]["differences"]
+    assert not board["after"]["differences"]
+    assert board["recovered_share"] > 0.95
+
+
+def test_a_missing_cause_is_listed(session_files: tuple[Path, Path], tmp_path: Path) -> None:
+    """A twin without the hidden cause differs in what depends on pan; 8 draws show less."""
+    folder, recording = session_files
+    document = parse_yaml((folder / "twin.yaml").read_bytes(), "twin.yaml")
+    document["twin"]["causes"] = []
+    names = document["twin"].get("posterior", {}).get("names", [])
+    assert any(name.startswith("causes.") for name in names)
+    del document["twin"]["posterior"]
+    (tmp_path / "twin.yaml").write_text(dump_yaml(document))
+    board = check(tmp_path, recording, draws=20)
+    assert board["different"]
+    assert any("pan" in text for text in board["after"]["differences"])
+
+
+def test_a_folder_without_twin_is_refused(tmp_path: Path, session_files: tuple[Path, Path]) -> None:
+    """One line, exit status 2."""
+    assert run(["twin-check", str(session_files[1]), str(tmp_path)]) == 2
