@@ -36,7 +36,12 @@ SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 @click.command("record", short_help="Record one session.")
 @click.option("--config", "config_path", type=YAML_FILE, required=True, help="The rig file (YAML).")
-@click.option("--program", "program_path", type=YAML_FILE, help="The motion program (YAML).")
+@click.option(
+    "--program",
+    "program_path",
+    type=YAML_FILE,
+    help="Only without --replay: the motion program (YAML).",
+)
 @click.option(
     "--replay",
     "replay_path",
