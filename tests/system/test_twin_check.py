@@ -45,13 +45,34 @@ def check(folder: Path, recording: Path, draws: int = 8) -> Any:
     return result["boards"][0]
 
 
-def test_the_twin_predicts_a_new_recording(session_files: tuple[Path, Path]) -> None:
+@pytest.fixture(scope="module")
+def checked(session_files: tuple[Path, Path]) -> Any:
+    """Return the result for the recording that the twin was not fitted to."""
+    return check(*session_files)
+
+
+def test_the_twin_predicts_a_new_recording(checked: Any) -> None:
     """Another program, other noise: the default simulation is wrong, the twin is not."""
-    board = check(*session_files)
+    board = checked
     assert board["held_out"]
     assert board["before"]["differences"]
     assert not board["after"]["differences"]
     assert board["recovered_share"] > 0.95
+
+
+def test_calibration_and_causes_share_the_gain(
+    checked: Any, session_files: tuple[Path, Path]
+) -> None:
+    """The twin without its causes is between both; the causes recover what it gets wrong."""
+    board = checked
+    densities = [board[stage]["log_density_nats_per_s"] for stage in ("before", "without_causes")]
+    assert densities[0] < densities[1] < board["after"]["log_density_nats_per_s"]
+    parts = board["calibration_gain_nats_per_s"], board["cause_gain_nats_per_s"]
+    assert min(parts) > 0.0
+    assert sum(parts) == pytest.approx(board["gain_nats_per_s"])
+    assert abs(1.0 - board["cause_share"]) < 3.0 * board["cause_share_std"]
+    page = (session_files[0] / "twin-check.html").read_text()
+    assert "is due to the calibration and" in page
 
 
 def test_a_missing_cause_is_listed(session_files: tuple[Path, Path], tmp_path: Path) -> None:
@@ -64,6 +85,8 @@ def test_a_missing_cause_is_listed(session_files: tuple[Path, Path], tmp_path: P
     del document["twin"]["posterior"]
     (tmp_path / "twin.yaml").write_text(dump_yaml(document))
     board = check(tmp_path, recording, draws=20)
+    assert board["without_causes"] is None
+    assert board["cause_gain_nats_per_s"] == 0.0
     assert board["different"]
     assert any("pan" in text for text in board["after"]["differences"])
 

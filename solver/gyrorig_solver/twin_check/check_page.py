@@ -79,12 +79,14 @@ def _section(board: BoardCheck) -> dict[str, Any]:
         "verdict": verdict_text(board),
         "tiles": [
             ("default simulation", board.before.nats_per_s, residual_rms(board.before)),
+            *_calibrated_tile(board),
             ("twin", board.after.nats_per_s, residual_rms(board.after)),
             ("noise alone", board.after.ceiling_nats_per_s, None),
         ],
         "share": None
         if not board.is_held_out or board.recovered_share is None
         else f"{100.0 * board.recovered_share:.2f} %",
+        "cause_share": _cause_share_text(board),
         "left": [difference_text(comparison) for comparison in differences(board.after)],
         "rows": rows,
         "overlay": close_up,
@@ -99,6 +101,22 @@ def _section(board: BoardCheck) -> dict[str, Any]:
             if comparison.family.key not in NOT_DRAWN
         ],
     }
+
+
+def _calibrated_tile(board: BoardCheck) -> list[tuple[str, float, float]]:
+    """Return the tile of the twin without its causes, if it has causes."""
+    stage = board.without_causes
+    return (
+        []
+        if stage is None
+        else [("twin without its causes", stage.nats_per_s, residual_rms(stage))]
+    )
+
+
+def _cause_share_text(board: BoardCheck) -> str | None:
+    """Return the share that the causes recover, for a recording that the fit did not use."""
+    share = board.cause_share if board.is_held_out else None
+    return None if share is None else f"{100.0 * share[0]:.1f} ± {100.0 * share[1]:.1f} %"
 
 
 def _close_up(board: BoardCheck) -> str:

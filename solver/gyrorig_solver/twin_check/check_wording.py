@@ -104,7 +104,42 @@ def gain_text(check: TwinCheck) -> str:
     )
     if known:
         text += f", which is {100.0 * min(known):.2f} % of what is possible"
-    return f"{text}."
+    return f"{text}. {_parts_text(check)}"
+
+
+def _parts_text(check: TwinCheck) -> str:
+    """Return which part of the gain on new recordings calibration and causes have."""
+    if not check.twin.causes:
+        return "All of this gain comes from the calibration, because the twin has no causes."
+    calibration = _mean([board.calibration_gain_nats_per_s for board in check.held_out])
+    causes = _mean([board.cause_gain_nats_per_s for board in check.held_out])
+    parts = f"({_number(calibration)} and {_number(causes)} nats per second)"
+    if min(calibration, causes) < 0.0:
+        return f"The calibration and the causes have these parts of the gain {parts}."
+    share = 100.0 * calibration / (calibration + causes) if calibration + causes > 0.0 else 0.0
+    return (
+        f"{share:.2f} % of this gain is due to the calibration and {100.0 - share:.2f} % to the "
+        f"causes {parts}. {_cause_share_text(check)}"
+    )
+
+
+def _cause_share_text(check: TwinCheck) -> str:
+    """Return how much of what the calibration alone leaves the causes recover."""
+    known = [board.cause_share for board in check.held_out if board.cause_share is not None]
+    if not known:
+        return (
+            "What the twin without its causes gets wrong is too small in these recordings for a "
+            "share that the causes recover."
+        )
+    share, std = min(known)
+    value = f"{100.0 * share:.1f} ± {100.0 * std:.1f} %"
+    text = "Of what the twin without its causes gets wrong, the causes recover"
+    if share < 1.0:
+        return f"{text} {value}."
+    return (
+        f"{text} {value}. More than 100 % means that the noise of this recording is less than the "
+        "mean noise of the twin."
+    )
 
 
 def verdict_text(board: BoardCheck) -> str:
@@ -126,13 +161,18 @@ def summarise(check: TwinCheck) -> str:
         kind = "not used for the fit" if board.is_held_out else "used for the fit"
         lines += ["", f"{board.board} in {board.recording} ({kind})"]
         lines.append(
-            f"  log predictive density, nats/s   before {board.before.nats_per_s:.2f}   after "
-            f"{board.after.nats_per_s:.2f}   noise alone {board.after.ceiling_nats_per_s:.2f}   "
-            f"p {board.after.density_p_value:.2g}"
+            f"  log predictive density, nats/s   before {board.before.nats_per_s:.2f}   "
+            f"{_without_causes_text(board)}after {board.after.nats_per_s:.2f}   noise alone "
+            f"{board.after.ceiling_nats_per_s:.2f}   p {board.after.density_p_value:.2g}"
         )
         lines.append(f"  {verdict_text(board)}")
         lines += [f"    {difference_text(comparison)}" for comparison in differences(board.after)]
     return "\n".join(lines)
+
+
+def _without_causes_text(board: BoardCheck) -> str:
+    stage = board.without_causes
+    return "" if stage is None else f"without causes {stage.nats_per_s:.2f}   "
 
 
 def to_plain(check: TwinCheck) -> dict[str, Any]:
@@ -155,8 +195,25 @@ def _board_plain(board: BoardCheck) -> dict[str, Any]:
         "different": is_different(board.after),
         "gain_nats_per_s": board.gain_nats_per_s if board.is_held_out else None,
         "recovered_share": board.recovered_share if board.is_held_out else None,
+        **_parts_plain(board),
         "before": _stage_plain(board.before),
+        "without_causes": None
+        if board.without_causes is None
+        else _stage_plain(board.without_causes),
         "after": _stage_plain(board.after),
+    }
+
+
+def _parts_plain(board: BoardCheck) -> dict[str, Any]:
+    """Return the parts of the gain; None for a recording that was used for the fit."""
+    share = board.cause_share if board.is_held_out else None
+    return {
+        "calibration_gain_nats_per_s": board.calibration_gain_nats_per_s
+        if board.is_held_out
+        else None,
+        "cause_gain_nats_per_s": board.cause_gain_nats_per_s if board.is_held_out else None,
+        "cause_share": None if share is None else share[0],
+        "cause_share_std": None if share is None else share[1],
     }
 
 
@@ -164,6 +221,7 @@ def _stage_plain(stage: StageCheck) -> dict[str, Any]:
     return {
         "log_density_nats_per_s": stage.nats_per_s,
         "noise_alone_nats_per_s": stage.ceiling_nats_per_s,
+        "noise_alone_std_nats_per_s": stage.ceiling_std_nats_per_s,
         "draws_nats_per_s": stage.draws_nats_per_s.tolist(),
         "p_value": stage.density_p_value,
         "residual_rms_deg_s": residual_rms(stage),

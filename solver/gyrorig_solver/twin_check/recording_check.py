@@ -27,6 +27,8 @@ from gyrorig_solver.twin_check.predictive_density import (
 from gyrorig_solver.twin_check.session_features import session_features
 from gyrorig_solver.twin_check.simulation import SimulatedRun
 
+MIN_POSSIBLE_SIGMA = 5.0  # smallest distance to the ceiling of which a share is stated
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StageCheck:
@@ -35,6 +37,8 @@ class StageCheck:
     nats_per_s: float  # log predictive density of the measured rates
     draws_nats_per_s: FloatArray  # the same for each simulated session under the other draws
     ceiling_nats_per_s: float  # of the simulation's own noise alone
+    ceiling_std_nats_per_s: float  # scatter of the same between sessions
+    nats_by_draw: FloatArray  # log density of the measured rates under each draw, nats
     density_p_value: float  # that a simulated session is predicted worse
     comparisons: tuple[FamilyComparison, ...]
     predicted_rad_s: FloatArray  # noise-free rates of the best draw, (n, 3)
@@ -52,7 +56,40 @@ class BoardCheck:
     is_held_out: bool
     session: ObservedSession
     before: StageCheck
+    without_causes: StageCheck | None  # None if the twin has no causes
     after: StageCheck
+
+    @property
+    def calibration_gain_nats_per_s(self) -> float:
+        """Part of the gain that the twin has without its causes."""
+        return self.gain_nats_per_s - self.cause_gain_nats_per_s
+
+    @property
+    def cause_gain_nats_per_s(self) -> float:
+        """Part of the gain that the causes add, 0 without causes."""
+        if self.without_causes is None:
+            return 0.0
+        # With fewer draws a mean over draws is lower, so both sides have the same number.
+        count = min(self.without_causes.nats_by_draw.size, self.after.nats_by_draw.size)
+        after, without = (
+            log_mean_exp(stage.nats_by_draw[:count]) for stage in (self.after, self.without_causes)
+        )
+        return (after - without) / self.session.duration_s
+
+    @property
+    def cause_share(self) -> tuple[float, float] | None:
+        """Share of the distance from the twin without causes to the ceiling, and its scatter.
+
+        The scatter comes from the ceiling: the noise of one session is not that of another. None
+        without causes, or if this scatter hides the distance.
+        """
+        if self.without_causes is None:
+            return None
+        gain, std = self.cause_gain_nats_per_s, self.after.ceiling_std_nats_per_s
+        possible = self.after.ceiling_nats_per_s - self.after.nats_per_s + gain
+        if possible <= MIN_POSSIBLE_SIGMA * std:
+            return None
+        return gain / possible, abs(gain) * std / possible**2
 
     @property
     def recovered_share(self) -> float | None:
@@ -87,9 +124,10 @@ def check_board(
     board: str,
     is_held_out: bool,
     before: Sequence[SimulatedRun],
+    without_causes: Sequence[SimulatedRun],
     after: Sequence[SimulatedRun],
 ) -> BoardCheck:
-    """Compare one board of a recording with the runs of both simulations.
+    """Compare one board of a recording with the runs of all simulations.
 
     The first run of each simulation has its best parameters; the others are the draws.
 
@@ -98,6 +136,7 @@ def check_board(
         board: one of its boards.
         is_held_out: whether the twin was not fitted to this recording.
         before: runs of the default simulation.
+        without_causes: runs of the twin without its causes; empty if it has none.
         after: runs of the twin.
 
     Raises:
@@ -111,6 +150,9 @@ def check_board(
         is_held_out=is_held_out,
         session=session,
         before=_check_stage(session, [_draw(run, board) for run in before]),
+        without_causes=_check_stage(session, [_draw(run, board) for run in without_causes])
+        if without_causes
+        else None,
         after=_check_stage(session, [_draw(run, board) for run in after]),
     )
 
@@ -140,10 +182,13 @@ def _check_stage(session: ObservedSession, runs: Sequence[_Draw]) -> StageCheck:
             first_residual = draw_residual
     nats_per_s = log_mean_exp(by_draw) / session.duration_s
     draws_nats_per_s = np.array(nats)
+    ceilings = _ceilings(runs, noise)
     return StageCheck(
         nats_per_s=nats_per_s,
         draws_nats_per_s=draws_nats_per_s,
-        ceiling_nats_per_s=_ceiling(runs, noise),
+        ceiling_nats_per_s=float(ceilings.mean()),
+        ceiling_std_nats_per_s=float(ceilings.std(ddof=1)),
+        nats_by_draw=by_draw,
         density_p_value=upper_tail(-nats_per_s, -draws_nats_per_s),
         comparisons=tuple(compare_families(measured, simulated)),
         predicted_rad_s=predicted,
@@ -156,10 +201,8 @@ def _mixture(density: RateDensity, session: ObservedSession, draws: Sequence[_Dr
     return log_mean_exp(np.array([density.log_density(draw.rates.at(session)) for draw in draws]))
 
 
-def _ceiling(runs: Sequence[_Draw], noise: SimulatedNoise) -> float:
-    """Return the mean log density of pure noise, nats per second."""
-    return float(
-        np.mean(
-            [noise_log_density(run.noise_rad_s, noise) / run.session.duration_s for run in runs]
-        )
+def _ceilings(runs: Sequence[_Draw], noise: SimulatedNoise) -> FloatArray:
+    """Return the log density of the pure noise of each run, nats per second."""
+    return np.array(
+        [noise_log_density(run.noise_rad_s, noise) / run.session.duration_s for run in runs]
     )

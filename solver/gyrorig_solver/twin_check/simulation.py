@@ -35,8 +35,9 @@ class SimulationFailedError(GyrorigError):
 
 @dataclass(frozen=True, slots=True)
 class Simulator:
-    """An emulated rig: its rig file, and further arguments of `gyrorigd record`."""
+    """An emulated rig: its short name, its rig file, and further arguments of `gyrorigd record`."""
 
+    name: str
     config: Path
     is_twin: bool = True  # it has a posterior to draw from
     arguments: tuple[str, ...] = ()

@@ -1,7 +1,8 @@
-"""The check of a twin's folder: runs both simulations for each recording and board.
+"""The check of a twin's folder: runs all simulations for each recording and board.
 
 What to use when: `check_twin_folder`. The default simulation is the twin's rig file without its
 section `twin`: the same devices on the same ports, with the properties of the shipped emulator.
+The twin without its causes separates the gain of the calibration from the gain of the causes.
 """
 
 import tempfile
@@ -18,7 +19,7 @@ from gyrorig_solver.twin_check.simulation import Simulator, run_draws
 
 TWIN_FILE = "twin.yaml"
 MIN_DRAWS, DEFAULT_DRAWS = 5, 20
-SHARE_OF_DEFAULT = 3  # the default simulation has no posterior and needs fewer draws
+SHARE_OF_OTHERS = 3  # the other simulations only need a density, so they have fewer draws
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -62,8 +63,9 @@ def check_twin_folder(
     fitted = {entry.sha256 for entry in twin.recordings}
     checks: list[BoardCheck] = []
     failed: list[tuple[str, GyrorigError]] = []
-    before_draws = max(MIN_DRAWS, draws // SHARE_OF_DEFAULT)
-    total = len(recordings) * (draws + before_draws + 2)
+    other_draws = max(MIN_DRAWS, draws // SHARE_OF_OTHERS)
+    counts = [other_draws, other_draws if twin.causes else None, draws]
+    total = len(recordings) * sum(count + 1 for count in counts if count is not None)
     finished = 0
 
     def count_run() -> None:
@@ -75,6 +77,13 @@ def check_twin_folder(
         scratch = Path(scratch_name)
         default_path = scratch / "default.yaml"
         default_path.write_text(_without_twin(text, path), encoding="utf-8")
+        calibrated_path = scratch / "without-causes.yaml"
+        calibrated_path.write_text(_without_causes(text, path), encoding="utf-8")
+        simulators = [
+            Simulator("before", default_path, is_twin=False),
+            Simulator("without-causes", calibrated_path),
+            Simulator("after", path),
+        ]
         for number, recording in enumerate(recordings):
             try:
                 boards = _boards(twin, recording, board)
@@ -84,19 +93,16 @@ def check_twin_folder(
                             simulator,
                             recording.path,
                             range(count + 1),
-                            scratch / f"{number}-{name}",
+                            scratch / f"{number}-{simulator.name}",
                             count_run,
                         )
                     )
-                    for name, simulator, count in (
-                        ("before", Simulator(default_path, is_twin=False), before_draws),
-                        ("after", Simulator(path), draws),
-                    )
+                    if count is not None
+                    else []
+                    for simulator, count in zip(simulators, counts, strict=True)
                 ]
                 is_held_out = recording.sha256 not in fitted
-                checks += [
-                    check_board(recording, name, is_held_out, runs[0], runs[1]) for name in boards
-                ]
+                checks += [check_board(recording, name, is_held_out, *runs) for name in boards]
             except GyrorigError as fault:
                 if len(recordings) == 1:
                     raise
@@ -120,6 +126,28 @@ def _without_twin(text: bytes, path: Path) -> str:
     """Return the rig file of the default simulation of the same devices."""
     document = parse_yaml(text, str(path), UsageError)
     return dump_yaml({key: value for key, value in document.items() if key != "twin"})
+
+
+def _without_causes(text: bytes, path: Path) -> str:
+    """Return the rig file of the twin without its causes and their uncertainty."""
+    document = parse_yaml(text, str(path), UsageError)
+    section = {**document["twin"], "causes": []}
+    posterior = section.pop("posterior", None)
+    if posterior is not None:
+        kept = [row for row, name in enumerate(posterior["names"]) if not _is_of_cause(name)]
+        if kept:
+            rows = [posterior["covariance"][row] for row in kept]
+            section["posterior"] = {
+                **posterior,
+                "names": [posterior["names"][row] for row in kept],
+                "covariance": [[row[column] for column in kept] for row in rows],
+            }
+    return dump_yaml({**document, "twin": section})
+
+
+def _is_of_cause(name: str) -> bool:
+    """Return whether a name of the posterior means a value of a cause."""
+    return name.startswith("causes.")
 
 
 def _boards(twin: Twin, recording: Recording, board: str | None) -> list[str]:
