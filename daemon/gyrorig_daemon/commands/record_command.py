@@ -82,7 +82,8 @@ SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
     "--rates",
     type=YAML_FILE,
     help="With --simulated-time: write the noise-free rates of the gyroscopes to this file, with "
-    "and without the hidden causes (npz).",
+    "and without the hidden causes (npz). With --sessions: one file per session, with the number "
+    "of the session after its name (rates-1.npz).",
 )
 @emulation_flags
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object per session.")
@@ -106,9 +107,9 @@ def record_command(context: click.Context, /, **options: Any) -> None:
     config = parse_rig(config_text, config_path.name, config_path.parent)
     motion = _read_motion(options["program_path"], options["replay_path"], config)
     count = options["session_count"]
-    if count > 1 and (not options["simulated_time"] or options["truth"] or options["rates"]):
+    if count > 1 and (not options["simulated_time"] or options["truth"]):
         raise UsageError(
-            "the option --sessions needs --simulated-time, and neither --truth nor --rates",
+            "the option --sessions needs --simulated-time, and no --truth",
             "remove the options that do not fit, or record one session per command",
         )
     is_quiet = terminal.quiet or terminal.verbose or config.ptu.is_person
@@ -131,12 +132,12 @@ def record_command(context: click.Context, /, **options: Any) -> None:
             replay=motion.replay,
             replay_sha256=motion.replay_sha256,
         )
-        seeds = _seeds_of_session(options, number) if count > 1 else {}
+        changed = _options_of_session(options, number) if count > 1 else {}
         return record_modes.RecordTask(
             request=request,
             config_path=config_path,
             emulation=emulation_options(
-                options | seeds | {"twin_recording": motion.twin_recording}, motion.session_s
+                options | changed | {"twin_recording": motion.twin_recording}, motion.session_s
             ),
             program_begin_s=motion.program_begin_s,
             host=socket.gethostname(),
@@ -162,11 +163,14 @@ def record_command(context: click.Context, /, **options: Any) -> None:
                 click.echo(str(path))
 
 
-def _seeds_of_session(options: dict[str, Any], number: int) -> dict[str, int]:
+def _options_of_session(options: dict[str, Any], number: int) -> dict[str, Any]:
     """Return the options of one of several sessions; `number` counts from 0."""
     first_seed = 1 if options["session_seed"] is None else options["session_seed"]
     draw = options["draw"] + number if options["draw"] else 0
-    return {"session_seed": first_seed + number, "draw": draw}
+    rates: Path | None = options["rates"]
+    if rates is not None:
+        rates = rates.with_name(f"{rates.stem}-{number + 1}{rates.suffix}")
+    return {"session_seed": first_seed + number, "draw": draw, "rates": rates}
 
 
 @dataclass(frozen=True, slots=True)

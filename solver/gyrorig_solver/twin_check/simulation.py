@@ -3,6 +3,9 @@
 The solver never imports the daemon. A run gives a recording, like that of a real rig, and the
 noise-free rates of its sensors, which no real rig can give.
 
+One process runs several draws one after the other, because its start takes about as long as the
+emulation of a minute. There is one process per core at a time.
+
 What to use when: `Simulator` for a rig file; `run_draws` for several draws at the same time.
 """
 
@@ -10,10 +13,12 @@ import json
 import os
 import subprocess
 import sys
+import threading
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from importlib.util import find_spec
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -61,15 +66,14 @@ def run_draws(
 ) -> Iterator[SimulatedRun]:
     """Replay the orders of a recording once per draw, and yield the runs in order.
 
-    Each draw has its own parameters from the posterior and its own noise. One process per core
-    runs at a time.
+    Each draw has its own parameters from the posterior and its own noise.
 
     Args:
         simulator: the emulated rig.
         measured: the recording with the orders.
         draws: numbers of the draws; also the seeds of their noise. 0 has the best parameters.
         folder: for the files of the runs.
-        on_run: called after each run.
+        on_run: called after each run, by one thread at a time.
 
     Raises:
         UsageError: the daemon is not installed.
@@ -82,61 +86,103 @@ def run_draws(
         )
     workers = min(MAX_WORKERS, max(MIN_WORKERS, os.cpu_count() or 1))
     with ThreadPoolExecutor(workers) as pool:
+        lock = threading.Lock()
+        parts = split_draws(draws, workers, simulator.is_twin)
         pending = [
-            pool.submit(_run_draw, simulator, measured, draw, folder / f"draw-{draw}")
-            for draw in draws
+            pool.submit(_run_part, simulator, measured, part, folder, on_run, lock)
+            for part in parts
         ]
         try:
-            for draw, future in zip(draws, pending, strict=True):
-                path, rates = future.result()
-                on_run()
-                yield SimulatedRun(draw, read_recording(path), rates)
+            for part, future in zip(parts, pending, strict=True):
+                for draw, (path, rates) in zip(part, future.result(), strict=True):
+                    yield SimulatedRun(draw, read_recording(path), rates)
         finally:
             for future in pending:
                 future.cancel()
 
 
-def _run_draw(
-    simulator: Simulator, measured: Path, draw: int, folder: Path
-) -> tuple[Path, dict[str, FloatArray]]:
-    """Run the emulated rig once."""
-    folder.mkdir(parents=True, exist_ok=True)
-    rates_path = folder / "rates.npz"
+def split_draws(draws: range, count: int, is_twin: bool) -> list[range]:
+    """Return the draws in ranges of nearly equal lengths, one per process.
+
+    Args:
+        draws: consecutive numbers.
+        count: number of processes at the same time.
+        is_twin: draw 0 has the best parameters, so it is alone: a process cannot go on from it.
+    """
+    first = [draws[:1]] if is_twin and draws[:1] == range(1) else []
+    rest = draws[len(first) :]
+    bounds = [len(rest) * part // count for part in range(count + 1)]
+    parts = [rest[begin:end] for begin, end in pairwise(bounds)]
+    return first + [part for part in parts if len(part)]
+
+
+def _run_part(
+    simulator: Simulator,
+    measured: Path,
+    draws: range,
+    folder: Path,
+    on_run: Callable[[], None],
+    lock: threading.Lock,
+) -> list[tuple[Path, dict[str, FloatArray]]]:
+    """Run the emulated rig once per draw, in one process."""
+    name = f"draws-{draws[0]}"
+    out = folder / name
+    out.mkdir(parents=True, exist_ok=True)
     command = [
         *(sys.executable, "-m", "gyrorig_daemon", "record", "--simulated-time", "--json"),
         *("--config", str(simulator.config), "--replay", str(measured)),
-        *(("--draw", str(draw)) if simulator.is_twin else ()),
-        *("--session-seed", str(draw + FIRST_SEED), "--session", f"draw-{draw}"),
-        *("--rates", str(rates_path), "--out", str(folder), *simulator.arguments),
+        *(("--draw", str(draws[0])) if simulator.is_twin else ()),
+        *("--session-seed", str(draws[0] + FIRST_SEED), "--session", name),
+        *("--sessions", str(len(draws)), "--rates", str(out / "rates.npz")),
+        *("--out", str(out), *simulator.arguments),
     ]
     environment = {**os.environ, **dict.fromkeys(_THREAD_VARIABLES, "1")}
-    try:
-        result = subprocess.run(  # noqa: S603 - our own interpreter, no shell
-            command,
-            capture_output=True,
-            text=True,
-            check=False,
-            timeout=RUN_TIMEOUT_S,
-            env=environment,
-        )
-    except subprocess.TimeoutExpired as fault:
-        raise SimulationFailedError(
-            f"the emulated rig did not finish draw {draw} in {RUN_TIMEOUT_S:.0f} s",
-            "check a shorter recording, or use fewer draws",
-        ) from fault
-    if result.returncode:
-        raise _failure(draw, result)
-    path = Path(json.loads(result.stdout)["recording"])
-    with np.load(rates_path) as arrays:
-        return path, {name: np.asarray(arrays[name]) for name in arrays.files}
+    recordings: list[Path] = []
+    with (
+        (out / "errors.txt").open("w+", encoding="utf-8") as errors,
+        subprocess.Popen(  # noqa: S603 - our own interpreter, no shell
+            command, stdout=subprocess.PIPE, stderr=errors, text=True, env=environment
+        ) as process,
+    ):
+        timer = threading.Timer(RUN_TIMEOUT_S * len(draws), process.kill)
+        timer.start()
+        try:
+            for line in process.stdout or ():
+                recordings.append(Path(json.loads(line)["recording"]))
+                with lock:
+                    on_run()
+            code = process.wait()
+        finally:
+            timer.cancel()
+            process.kill()
+        if code:
+            errors.seek(0)
+            raise _failure(draws[min(len(recordings), len(draws) - 1)], code, errors.read())
+    names = (
+        [f"rates-{number}.npz" for number in range(1, len(draws) + 1)]
+        if len(draws) > 1
+        else ["rates.npz"]
+    )
+    return [(path, _read_rates(out / rates)) for path, rates in zip(recordings, names, strict=True)]
 
 
-def _failure(draw: int, result: subprocess.CompletedProcess[str]) -> SimulationFailedError:
+def _read_rates(path: Path) -> dict[str, FloatArray]:
+    with np.load(path) as arrays:
+        return {name: np.asarray(arrays[name]) for name in arrays.files}
+
+
+def _failure(draw: int, code: int, text: str) -> SimulationFailedError:
     """Return the error of a run, with the last line that it wrote."""
-    reason = result.stderr.strip().rpartition("\n")[2].removeprefix("gyrorigd: ")
+    if code < 0:
+        return SimulationFailedError(
+            f"the emulated rig was ended in draw {draw}, or took longer than "
+            f"{RUN_TIMEOUT_S:.0f} s per draw",
+            "check a shorter recording, or use fewer draws",
+        )
+    reason = text.strip().rpartition("\n")[2].removeprefix("gyrorigd: ")
     error = SimulationFailedError(
         f"the emulated rig could not replay the recording (draw {draw})",
         reason or "run `gyrorigd record --replay` with the same files to see the reason",
     )
-    error.exit_code = result.returncode if result.returncode > 0 else 1
+    error.exit_code = code
     return error

@@ -167,7 +167,7 @@ def test_several_sessions_have_consecutive_seeds(
         (["--program", "p.yaml", "--replay", "r.mcap"], "either a motion program or a recording"),
         (["--program", "PROGRAM", "--draw", "1"], "needs a rig file with the section `twin`"),
         (["--replay", "none.mcap"], "none.mcap"),
-        (["--program", "PROGRAM", "--sessions", "2", "--truth", "t"], "neither --truth nor"),
+        (["--program", "PROGRAM", "--sessions", "2", "--truth", "t"], "and no --truth"),
     ],
 )
 def test_options_that_do_not_fit_are_rejected(
@@ -179,6 +179,21 @@ def test_options_that_do_not_fit_are_rejected(
     assert run([*words, *options]) in (2, 3)
     assert message in capsys.readouterr().err
     assert not list(tmp_path.iterdir())
+
+
+def test_several_sessions_have_a_file_of_rates_each(tmp_path: Path) -> None:
+    """The second file is that of a single session with the same seed."""
+    program = tmp_path / "rest.yaml"
+    program.write_text("schema: gyrorig/program/1\nname: p\nsteps:\n  - rest: {seconds: 1.0}\n")
+    words = ["record", "--config", str(RIG), "--out", str(tmp_path), "--simulated-time"]
+    words += ["--program", str(program), "--rates"]
+    assert run([*words, str(tmp_path / "r.npz"), "--session-seed", "7", "--sessions", "2"]) == 0
+    assert run([*words, str(tmp_path / "single.npz"), "--session-seed", "8"]) == 0
+    assert not (tmp_path / "r.npz").exists()
+    assert (tmp_path / "r-1.npz").exists()
+    with np.load(tmp_path / "r-2.npz") as second, np.load(tmp_path / "single.npz") as single:
+        assert second.files == single.files
+        assert all(np.array_equal(second[name], single[name]) for name in single.files)
 
 
 def test_a_real_unit_replays_nothing(
