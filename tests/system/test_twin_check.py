@@ -35,7 +35,7 @@ def session_files(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]
     return folder / "twin", record(folder, "quick.yaml", 12)
 
 
-def check(folder: Path, recording: Path, draws: int = 8) -> Any:
+def check(folder: Path, recording: Path, draws: int = 10) -> Any:
     """Run the command; return its result for the only board."""
     assert run(["-q", "twin-check", str(recording), str(folder), "--draws", str(draws)]) == 0
     page = (folder / "twin-check.html").read_text()
@@ -76,7 +76,7 @@ def test_calibration_and_causes_share_the_gain(
 
 
 def test_a_missing_cause_is_listed(session_files: tuple[Path, Path], tmp_path: Path) -> None:
-    """A twin without the hidden cause differs in what depends on pan; 8 draws show less."""
+    """A twin without the hidden cause differs in what depends on pan; few draws show less."""
     folder, recording = session_files
     document = parse_yaml((folder / "twin.yaml").read_bytes(), "twin.yaml")
     document["twin"]["causes"] = []

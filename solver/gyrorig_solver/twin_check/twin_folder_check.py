@@ -18,7 +18,8 @@ from gyrorig_solver.twin_check.recording_check import BoardCheck, check_board
 from gyrorig_solver.twin_check.simulation import Simulator, run_draws
 
 TWIN_FILE = "twin.yaml"
-MIN_DRAWS, DEFAULT_DRAWS = 5, 20
+MIN_OTHER_DRAWS = 5
+MIN_DRAWS, DEFAULT_DRAWS = 10, 20  # fewer draws have too little power to list causes
 SHARE_OF_OTHERS = 3  # the other simulations only need a density, so they have fewer draws
 
 
@@ -63,7 +64,7 @@ def check_twin_folder(
     fitted = {entry.sha256 for entry in twin.recordings}
     checks: list[BoardCheck] = []
     failed: list[tuple[str, GyrorigError]] = []
-    other_draws = max(MIN_DRAWS, draws // SHARE_OF_OTHERS)
+    other_draws = max(MIN_OTHER_DRAWS, draws // SHARE_OF_OTHERS)
     counts = [other_draws, other_draws if twin.causes else None, draws]
     total = len(recordings) * sum(count + 1 for count in counts if count is not None)
     finished = 0
@@ -134,13 +135,13 @@ def _without_causes(text: bytes, path: Path) -> str:
     section = {**document["twin"], "causes": []}
     posterior = section.pop("posterior", None)
     if posterior is not None:
-        kept = [row for row, name in enumerate(posterior["names"]) if not _is_of_cause(name)]
-        if kept:
-            rows = [posterior["covariance"][row] for row in kept]
+        fitted_rows = [row for row, name in enumerate(posterior["names"]) if not _is_of_cause(name)]
+        if fitted_rows:
+            rows = [posterior["covariance"][row] for row in fitted_rows]
             section["posterior"] = {
                 **posterior,
-                "names": [posterior["names"][row] for row in kept],
-                "covariance": [[row[column] for column in kept] for row in rows],
+                "names": [posterior["names"][row] for row in fitted_rows],
+                "covariance": [[row[column] for column in fitted_rows] for row in rows],
             }
     return dump_yaml({**document, "twin": section})
 
