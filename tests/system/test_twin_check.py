@@ -51,6 +51,7 @@ def checked(session_files: tuple[Path, Path]) -> Any:
     return check(*session_files)
 
 
+@pytest.mark.long
 def test_the_twin_predicts_a_new_recording(checked: Any) -> None:
     """Another program, other noise: the default simulation is wrong, the twin is not."""
     board = checked
@@ -60,6 +61,7 @@ def test_the_twin_predicts_a_new_recording(checked: Any) -> None:
     assert board["recovered_share"] > 0.95
 
 
+@pytest.mark.long
 def test_calibration_and_causes_share_the_gain(
     checked: Any, session_files: tuple[Path, Path]
 ) -> None:
@@ -75,6 +77,7 @@ def test_calibration_and_causes_share_the_gain(
     assert "is due to the calibration and" in page
 
 
+@pytest.mark.long
 def test_a_missing_cause_is_listed(session_files: tuple[Path, Path], tmp_path: Path) -> None:
     """A twin without the hidden cause differs in what depends on pan; few draws show less."""
     folder, recording = session_files

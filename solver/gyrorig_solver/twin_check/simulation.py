@@ -167,7 +167,7 @@ def _run_part(
 
 
 def _read_rates(path: Path) -> dict[str, FloatArray]:
-    with np.load(path) as arrays:
+    with np.load(path, allow_pickle=False) as arrays:
         return {name: np.asarray(arrays[name]) for name in arrays.files}
 
 
