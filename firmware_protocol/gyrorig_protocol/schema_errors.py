@@ -213,6 +213,8 @@ def _value_text(value: object) -> str:
             )
         case list():
             text = f"a list of {len(value)}"
+        case dict() if not value:
+            text = "without entries"
         case dict():
             text = "keys with values"
         case _:

@@ -8,10 +8,34 @@ import msgspec
 from gyrorig_protocol.documents import convert_document, parse_yaml
 from gyrorig_protocol.errors import GyrorigError, UsageError
 from gyrorig_protocol.suggestions import did_you_mean
-from gyrorig_protocol.twin.twin_document import Matrix, Scalar, Twin, TwinBoard, Vector
+from gyrorig_protocol.twin.twin_document import (
+    Matrix,
+    Scalar,
+    Twin,
+    TwinBoard,
+    TwinClock,
+    TwinLink,
+    Vector,
+)
 
 SYMMETRY_TOLERANCE = 1e-6  # of the covariance, relative to the standard deviations
 RIG_SCHEMA = "gyrorig/rig/1"
+UNITS = {
+    "gain": "1",
+    "bias": "rad/s",
+    "noise_density": "rad/s/sqrt(Hz)",
+    "bias_instability": "rad/s",
+    "rate_random_walk": "rad/s/sqrt(s)",
+    "odr": "Hz",
+    "bandwidth": "Hz",
+    "full_scale": "rad/s",
+    "count": "rad/s",
+    "skew": "1",
+    "wander": "1/sqrt(s)",
+}  # of the quantities whose unit is not s
+MAX_ODR_HZ = 1e5
+MAX_SKEW = 0.5  # relative
+MAX_LATENCY_S = 10.0
 
 
 def parse_twin(text: str | bytes, name: str, error: type[GyrorigError] = UsageError) -> Twin:
@@ -62,6 +86,11 @@ def check_twin(twin: Twin, name: str, error: type[GyrorigError] = UsageError) ->
                 f"{name}: the recording {recording.name} does not end after its begin",
                 "write the times of its first and last sample, in s",
             )
+    _check_link(twin.link, f"{name}: link", error)
+    if twin.unit is not None:
+        _check_units(twin.unit, f"{name}: unit", error)
+        _check_latencies(twin.unit, ("answer_time", "start_delay"), f"{name}: unit", error)
+        _check_clock(twin.unit.counter, f"{name}: unit: counter", error)
     for board_id, board in twin.boards.items():
         _check_board(board, f"{name}: boards: {board_id}", error)
     for number, cause in enumerate(twin.causes, start=1):
@@ -113,7 +142,59 @@ def _is_quantity(value: object) -> bool:
     return isinstance(value, Scalar | Vector | Matrix)
 
 
+def _check_units(part: msgspec.Struct, place: str, error: type[GyrorigError]) -> None:
+    for key in part.__struct_fields__:
+        quantity = getattr(part, key)
+        unit = UNITS.get(key, "s")
+        if _is_quantity(quantity) and quantity.unit != unit:
+            raise error(
+                f"{place}: {key} has the unit {quantity.unit!r}, which must be {unit!r}",
+                "convert the value to this unit",
+            )
+
+
+def _check_latencies(
+    part: msgspec.Struct, keys: tuple[str, ...], place: str, error: type[GyrorigError]
+) -> None:
+    for key in keys:
+        latency: Scalar | None = getattr(part, key)
+        if latency is not None and not 0.0 <= latency.value <= MAX_LATENCY_S:
+            raise error(
+                f"{place}: {key} is {latency.value:g} s",
+                f"write a time of 0 to {MAX_LATENCY_S:g} s",
+            )
+
+
+def _check_clock(clock: TwinClock, place: str, error: type[GyrorigError]) -> None:
+    _check_units(clock, place, error)
+    if clock.skew is not None and abs(clock.skew.value) > MAX_SKEW:
+        raise error(
+            f"{place}: skew is {clock.skew.value:g}",
+            f"write a relative error of the clock from -{MAX_SKEW:g} to {MAX_SKEW:g}",
+        )
+
+
+def _check_link(link: TwinLink, place: str, error: type[GyrorigError]) -> None:
+    _check_units(link, place, error)
+    latencies = tuple(key for key in link.__struct_fields__ if key != "stall_interval")
+    _check_latencies(link, latencies, place, error)
+    if link.stall_interval is not None and link.stall_interval.value < 0.0:
+        raise error(f"{place}: stall_interval is negative", "write 0 for a link without stalls")
+    shortest, longest = link.stall_shortest, link.stall_longest
+    if shortest is not None and longest is not None and shortest.value > longest.value:
+        raise error(
+            f"{place}: stall_shortest is longer than stall_longest", "exchange the two values"
+        )
+
+
 def _check_board(board: TwinBoard, place: str, error: type[GyrorigError]) -> None:
+    _check_units(board, place, error)
+    _check_clock(board.clock, f"{place}: clock", error)
+    _check_latencies(board, ("stamp_jitter",), place, error)
+    if board.odr is not None and board.odr.value > MAX_ODR_HZ:
+        raise error(
+            f"{place}: odr is {board.odr.value:g} Hz", f"write a rate of at most {MAX_ODR_HZ:g} Hz"
+        )
     for key in ("odr", "bandwidth", "full_scale", "count"):
         quantity: Scalar | None = getattr(board, key)
         if quantity is not None and quantity.value <= 0.0:
