@@ -40,6 +40,9 @@ from gyrorig_solver.model import PARAMETER_GROUPS
 AXES = ("x", "y", "z")
 UNITS = {"rad/s": 1.0, "deg/s": float(np.pi / 180.0), "deg/h": float(np.pi / 648000.0)}
 MIN_ROWS = 4
+TEMPERATURE_RANGE_DEGC = (-100.0, 250.0)  # of electronics, with a margin
+MAX_BIAS_RAD_S = 100.0  # more than the full scale of any gyroscope
+MIN_SCALE, MAX_SCALE = 0.1, 10.0  # relative to the nominal scale factor
 CALIBRATION_SUFFIXES = (".yaml", ".yml")
 NO_MOTION_REASON = (
     "a table of biases does not show the gain. To know the gain, calibrate the board with a motion "
@@ -77,7 +80,13 @@ def read_values(paths: Sequence[Path], unit: str) -> TemperatureValues:
     """
     rows: list[dict[str, float]] = []
     template: CalibrationDocument | None = None
-    for path in paths:
+    for number, path in enumerate(paths):
+        if path.resolve() in [earlier.resolve() for earlier in paths[:number]]:
+            raise UsageError(
+                f"the file {path.name} is given twice",
+                "give each file once, because values that count twice make the uncertainties too "
+                "small",
+            )
         if path.suffix in CALIBRATION_SUFFIXES:
             document, _ = read_calibration(path)
             if template is not None and template.board.id != document.board.id:
@@ -177,12 +186,33 @@ def _table_row(row: dict[str, str], number: int, name: str, unit: float) -> dict
             value = np.nan
         if not np.isfinite(value):
             raise InputError(
-                f"row {number} of the table {name} has {str(text)[:40]!r} in the column {key}, "
-                "which is not a number",
+                f"row {number} of the table {name} has "
+                f"{'nothing' if not text else repr(text[:40])} in the column {key}, which is not a "
+                "number",
                 "correct the cell, or remove the row",
             )
         values[key] = value * (unit if key.startswith("bias_") else 1.0)
+        limits = _limits(key)
+        if not limits[0] <= values[key] <= limits[1]:
+            raise InputError(
+                f"row {number} of the table {name} has {text.strip()[:40]} in the column {key}, "
+                "which is not possible",
+                "correct the cell, or give the unit of the bias with --unit"
+                if key.startswith("bias_")
+                else "correct the cell, or remove the row",
+            )
     return values
+
+
+def _limits(column: str) -> tuple[float, float]:
+    """Return the smallest and the largest value of a column that is possible, in SI units."""
+    if column == "temperature_degc":
+        return TEMPERATURE_RANGE_DEGC
+    if "_std_" in column:
+        return 0.0, MAX_BIAS_RAD_S
+    return (
+        (-MAX_BIAS_RAD_S, MAX_BIAS_RAD_S) if column.startswith("bias_") else (MIN_SCALE, MAX_SCALE)
+    )
 
 
 def with_temperature_curves(

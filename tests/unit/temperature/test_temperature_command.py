@@ -189,3 +189,35 @@ def test_autopilots_get_the_nearest_cubic_with_its_error() -> None:
     )
     plain = msgspec.structs.replace(document, temperature=None)
     assert ExportSource.of(plain).bias_curve is None
+
+
+@pytest.mark.parametrize(
+    ("column", "value", "message_part"),
+    [
+        ("temperature_degc", "-400", "has -400 in the column temperature_degc"),
+        ("bias_y", "1e9", "has 1e9 in the column bias_y"),
+        ("bias_std_x", "-0.1", "has -0.1 in the column bias_std_x"),
+        ("scale_z", "0", "has 0 in the column scale_z"),
+        ("scale_x", "", "has nothing in the column scale_x"),
+    ],
+)
+def test_values_that_are_not_possible_are_refused(
+    column: str, value: str, message_part: str, tmp_path: Path, capsys: Captured
+) -> None:
+    names = [*HEADER.strip().split(","), "bias_std_x"]
+    rows = [dict.fromkeys(names, "1") | {"temperature_degc": str(5 * k)} for k in range(8)]
+    rows[2][column] = value
+    path = tmp_path / "chamber.csv"
+    path.write_text("\n".join([",".join(names), *(",".join(row.values()) for row in rows)]))
+    assert cli.run(["temperature", str(path), "--board", "B", "--out", str(tmp_path)]) == 3
+    text = capsys.readouterr().err
+    assert f"row 3 of the table chamber.csv {message_part}" in text
+    assert text.count("\n") == 1
+
+
+def test_a_file_that_is_given_twice_is_refused(
+    table: Path, tmp_path: Path, capsys: Captured
+) -> None:
+    command = ["temperature", str(table), str(table), "--board", "B", "--out", str(tmp_path)]
+    assert cli.run(command) == 2
+    assert "chamber.csv is given twice" in capsys.readouterr().err
