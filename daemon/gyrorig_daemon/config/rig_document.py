@@ -219,6 +219,11 @@ def parse_rig(text: str | bytes, name: str, folder: Path | None = None) -> RigCo
         rig = msgspec.structs.replace(rig, boards=boards)
     try:
         BoardId(rig.rig)
+    except InputError as error:
+        raise UsageError(
+            f"{name}: {rig.rig[:40]!r} is not a valid name of a rig", error.remedy
+        ) from error
+    try:
         names = [BoardId(board.id) for board in rig.boards]
     except InputError as error:
         raise UsageError(f"{name}: {error.problem}", error.remedy) from error

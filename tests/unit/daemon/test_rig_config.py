@@ -49,7 +49,7 @@ def test_defaults() -> None:
         (("baud: 115200", "baud: '115200'"), "ptu: baud is the text '115200'"),
         (("baud: 115200", "baud: 115201"), "ptu: baud is 115201. Give one of 600, 1200,"),
         (("baud: 115200", "pan_sign: 0"), "pan_sign"),
-        (("rig: desk", "rig: ../../etc"), "board name"),
+        (("rig: desk", "rig: ../../etc"), "'../../etc' is not a valid name of a rig"),
         (("id: A-1", "id: ../x"), "board name"),
         (("rig: desk", "rig: desk\nschema: gyrorig/rig/2"), "schema"),
         (("port: emulated}", "port: emulated, format: text}"), "columns"),
