@@ -34,7 +34,7 @@ from gyrorig_solver.plan import MAX_PROGRAM_S, load_rig, require_new_path
 @click.option(
     "--held-out",
     type=click.Path(path_type=Path),
-    help="Another recording, to test the named causes on; nothing is fitted to it.  "
+    help="Another recording, to test the named causes on; the causes are not fitted to it.  "
     "[default: none]",
 )
 @click.option(

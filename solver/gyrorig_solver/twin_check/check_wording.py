@@ -99,11 +99,14 @@ def gain_text(check: TwinCheck) -> str:
     shares = [board.recovered_share for board in check.held_out]
     known = [share for share in shares if share is not None]
     text = (
-        f"On {len(gains)} board recording(s) that the fit did not use, the log predictive density "
-        f"improves by {_number(float(np.mean(gains)))} nats per second"
+        f"For data that the fit did not use ({len(gains)} x one board in one recording), the log "
+        f"predictive density improves by {_number(float(np.mean(gains)))} nats per second"
     )
     if known:
-        text += f", which is {100.0 * min(known):.2f} % of what is possible"
+        text += (
+            f", which is {100.0 * min(known):.2f} % of the difference between the default "
+            "simulation and noise alone"
+        )
     return f"{text}. {_parts_text(check)}"
 
 
