@@ -49,7 +49,9 @@ from gyrorig_protocol.errors import UsageError
     type=click.Path(path_type=Path, file_okay=False),
     help="A folder for symbolic links with the names of the ports.  [default: none]",
 )
-@click.option("--twin-recording", hidden=True, help="Only with a twin: the recording whose events happen.")
+@click.option(
+    "--twin-recording", hidden=True, help="Only with a twin: the recording whose events happen."
+)
 @click.option("--json", "as_json", is_flag=True, help="Print the ports as one JSON object.")
 @click.option("--until-eof", is_flag=True, help="Stop at the end of standard input.")
 def emulate_command(**options: Any) -> None:
