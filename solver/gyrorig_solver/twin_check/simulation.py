@@ -28,7 +28,8 @@ from gyrorig_protocol.recording.reader import read_recording
 from gyrorig_protocol.recording.recording import Recording
 from gyrorig_solver.data import FloatArray
 
-FIRST_SEED = 1_000_001  # of the sessions' noise; unlike seeds that people choose
+FIRST_SEED = 1_000_001  # the smallest of the sessions' noise; unlike seeds that people choose
+SEED_DIGITS = 8  # hexadecimal digits of the checksum that select draws and noise
 RUN_TIMEOUT_S = 600.0  # of one run; a recording of an hour takes about a minute
 MIN_WORKERS, MAX_WORKERS = 2, 8
 _THREAD_VARIABLES = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
@@ -59,19 +60,21 @@ class SimulatedRun:
 
 def run_draws(
     simulator: Simulator,
-    measured: Path,
+    measured: Recording,
     draws: range,
     folder: Path,
     on_run: Callable[[], None],
 ) -> Iterator[SimulatedRun]:
     """Replay the orders of a recording once per draw, and yield the runs in order.
 
-    Each draw has its own parameters from the posterior and its own noise.
+    Each draw has its own parameters from the posterior and its own noise. Both follow from the
+    checksum of the recording, because the p-values of different recordings would otherwise depend
+    on the same simulated noise.
 
     Args:
         simulator: the emulated rig.
         measured: the recording with the orders.
-        draws: numbers of the draws; also the seeds of their noise. 0 has the best parameters.
+        draws: numbers of the draws. 0 has the best parameters.
         folder: for the files of the runs.
         on_run: called after each run, by one thread at a time.
 
@@ -118,7 +121,7 @@ def split_draws(draws: range, count: int, is_twin: bool) -> list[range]:
 
 def _run_part(
     simulator: Simulator,
-    measured: Path,
+    measured: Recording,
     draws: range,
     folder: Path,
     on_run: Callable[[], None],
@@ -126,13 +129,15 @@ def _run_part(
 ) -> list[tuple[Path, dict[str, FloatArray]]]:
     """Run the emulated rig once per draw, in one process."""
     name = f"draws-{draws[0]}"
+    offset = int(measured.sha256[:SEED_DIGITS], 16)
+    first_draw = draws[0] + offset if draws[0] else 0
     out = folder / name
     out.mkdir(parents=True, exist_ok=True)
     command = [
         *(sys.executable, "-m", "gyrorig_daemon", "record", "--simulated-time", "--json"),
-        *("--config", str(simulator.config), "--replay", str(measured)),
-        *(("--draw", str(draws[0])) if simulator.is_twin else ()),
-        *("--session-seed", str(draws[0] + FIRST_SEED), "--session", name),
+        *("--config", str(simulator.config), "--replay", str(measured.path)),
+        *(("--draw", str(first_draw)) if simulator.is_twin else ()),
+        *("--session-seed", str(draws[0] + FIRST_SEED + offset), "--session", name),
         *("--sessions", str(len(draws)), "--rates", str(out / "rates.npz")),
         *("--out", str(out), *simulator.arguments),
     ]

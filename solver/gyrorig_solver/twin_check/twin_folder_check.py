@@ -92,7 +92,7 @@ def check_twin_folder(
                     list(
                         run_draws(
                             simulator,
-                            recording.path,
+                            recording,
                             range(count + 1),
                             scratch / f"{number}-{simulator.name}",
                             count_run,
