@@ -44,9 +44,9 @@ AXIS_STD_RAD = float(np.radians(1.0))
 MIN_BIAS_STD_RAD_S = float(np.radians(0.003))
 MAX_ITERATIONS = 4
 REASON_TEXTS = {
-    "x": "the recordings have no turn about the stage's x axis; add one",
-    "y": "the recordings have no turn about the stage's y axis; add one",
-    "z": "the recordings have no turn about the stage's z axis; add one",
+    "x": "the recordings have no turn about the x axis of the reference; add one",
+    "y": "the recordings have no turn about the y axis of the reference; add one",
+    "z": "the recordings have no turn about the z axis of the reference; add one",
     "bias": "the board never rests before, between or after the turns; add a recording at rest",
     "time_offset": (
         "the total angle of a turn does not show the time offset; use a reference that gives the "

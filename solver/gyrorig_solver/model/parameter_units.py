@@ -49,7 +49,11 @@ PARAMETER_GROUPS = (
         "nonorthogonality", ("xy", "zx", "zy"), "angles between the sensor's axes", 1e3, "mrad"
     ),
     ParameterGroup(
-        "misalignment", ("x", "y", "z"), "rotation from the stage to the sensor", DEG_PER_RAD, "deg"
+        "misalignment",
+        ("x", "y", "z"),
+        "rotation from the reference to the sensor",
+        DEG_PER_RAD,
+        "deg",
     ),
     ParameterGroup("time_offset", ("",), "delay of the samples behind the motion", 1e3, "ms"),
 )

@@ -195,7 +195,7 @@ def spectrum_figure(data: FitDiagnostics) -> str:
 
 def residual_by_rate_figure(data: FitDiagnostics) -> str:
     """Draw the mean residual in bins of the stage's rate, with 95 % intervals."""
-    label = "stage rate about the axis, deg/s"
+    label = "reference rate about the axis, deg/s"
     return _residual_in_bins(data, list(data.reference_rad_s.T), 15, 3.2, label)
 
 
