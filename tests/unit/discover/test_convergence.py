@@ -42,6 +42,7 @@ def test_the_cause_is_named_where_its_fit_converges(named: ConvergedFit) -> None
     assert named.converged
 
 
+@pytest.mark.long
 def test_a_candidate_whose_fit_does_not_converge_is_left_out(
     base: ConvergedFit, monkeypatch: pytest.MonkeyPatch
 ) -> None:

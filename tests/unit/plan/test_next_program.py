@@ -63,6 +63,7 @@ def rig(tmp_path_factory: pytest.TempPathFactory) -> AmbiguousRig:
     return AmbiguousRig(tmp_path_factory.mktemp("ambiguous"))
 
 
+@pytest.mark.long
 def test_a_program_makes_a_set_one_name(rig: AmbiguousRig) -> None:
     (before,) = rig.explanation.findings.causes
     assert set(before.candidates) == {"scale_quadratic", "scale_asymmetry"}

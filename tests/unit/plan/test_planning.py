@@ -44,6 +44,7 @@ def planned(
     return out
 
 
+@pytest.mark.long
 def test_beats_the_paper_at_equal_duration(
     planned: Path, rig: RigModel, sensor: SensorModel, shipped: Callable[[str], MotionProgram]
 ) -> None:

@@ -38,6 +38,7 @@ def asked(name: str) -> list[str]:
     return [str(ROOT / "config" / word) if word == "rig.yaml" else word for word in words]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", [pytest.param(n, marks=marks_of(n)) for n in PLANNED])
 def test_the_planner_would_ship_it_again(name: str, tmp_path: Path) -> None:
     out = tmp_path / f"{name}.yaml"

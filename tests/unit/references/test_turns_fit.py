@@ -90,7 +90,8 @@ def test_turns_about_x_show_only_x(
     assert np.isnan(fit.gain[:, 1:]).all()
     assert "scale.y" in fit.observability.unobservable
     assert any(
-        "column y of the gain: the recordings have no turn about the stage's y axis" in text
+        "column y of the gain: the recordings have no turn about the y axis of the reference"
+        in text
         for text in fit.observability.reasons
     )
 

@@ -5,6 +5,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import pytest
 import yaml
 from tests.unit.twin.conftest import RecordedTwin, record, run_gyrorig
 
@@ -22,6 +23,7 @@ def _calibrate(recording: Path, out: Path) -> dict[str, Any]:
     return document
 
 
+@pytest.mark.long
 def test_the_twin_gives_the_same_calibration(
     recorded_twin: Callable[..., RecordedTwin], tmp_path: Path
 ) -> None:

@@ -86,6 +86,7 @@ def _two_boards(make: Callable[..., RecordedTwin]) -> RecordedTwin:
     return make("--seed", "4", "--hide", "eccentricity@pan:0.004", rig=TWO_BOARDS)
 
 
+@pytest.mark.long
 def test_boards_on_one_unit_make_one_twin(recorded_twin: Callable[..., RecordedTwin]) -> None:
     made = _two_boards(recorded_twin)
     twin = made.twin
