@@ -88,7 +88,7 @@ class PtuPort(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     baud: Baud = 9600
     dialect: Literal["auto", "d46", "e46"] = "auto"
     serial: Annotated[str, msgspec.Meta(min_length=1, max_length=64)] | None = None  # no other
-    commands: dict[UnitWord, UnitWord] = {}  # of a driver of text lines, instead of its own
+    commands: dict[UnitWord, UnitWord] = {}  # replace those of a driver of text lines
     pan_sign: Sign = 1
     tilt_sign: Sign = 1
     limits: CommandLimits = CommandLimits()

@@ -1,7 +1,7 @@
 """Driver of any unit that answers each line of text with one line of text.
 
 What to use when: `text_driver` makes the entry of a driver from a `TextLanguage`. A unit needs a
-driver of its own only if one line does not answer one line, or if it sends lines by itself.
+separate driver only if one line does not answer one line, or if it sends lines by itself.
 """
 
 from collections.abc import Callable, Sequence

@@ -263,7 +263,7 @@ def rank_against_alternatives(
 ) -> RankedCause:
     """Rank one cause of a fit against the alternatives in its place.
 
-    An alternative that changes the motion law needs a fit of its own. It has none if it cannot be a
+    An alternative that changes the motion law needs a separate fit. It has none if it cannot be a
     rival: its score test gains little, and it explains nothing in addition to the named cause.
 
     Args:

@@ -1,6 +1,6 @@
 """The interface of a kind of reference to the pipeline.
 
-What to use when: subclass `ReferenceKind` for a reference with a fit of its own, for example to
+What to use when: subclass `ReferenceKind` for a reference with a separate fit, for example to
 the angle of each turn; subclass `motion_kind.MotionKind` for one that gives the rate at each
 moment.
 """

@@ -92,7 +92,7 @@ def measure_latency(boards: Sequence[GyroSamples]) -> Latency | None:
         boards: the samples of all boards and recordings.
 
     Returns:
-        None where no board has arrival times of its own, as in imported data.
+        None where no board has arrival times, as in imported data.
     """
     excesses: list[FloatArray] = []
     stalls: list[Stall] = []

@@ -1,4 +1,4 @@
-"""Units of text lines: a rate table under a clock of its own, and what its line can do wrong."""
+"""Units of text lines: a rate table under a simulated clock, and what its line can do wrong."""
 
 from collections.abc import Callable
 

@@ -1,4 +1,4 @@
-"""The twin as a rig: recorded and solved again, it gives the calibration of its own rig."""
+"""The twin as a rig: recorded and solved again, it gives the calibration of the measured rig."""
 
 import math
 from collections.abc import Callable
