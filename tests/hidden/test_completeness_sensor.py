@@ -10,6 +10,7 @@ from pathlib import Path
 from types import ModuleType
 
 import pytest
+from tests.support.quick_cases import quick_cases
 
 
 def _scorer() -> ModuleType:
@@ -25,33 +26,32 @@ def _scorer() -> ModuleType:
 
 
 SOAK_K = 15.0
+CAUSES = [
+    "bias_ramp",
+    "bias_step",
+    "clock_skew",
+    "clock_step",
+    "dead_zone",
+    "g_sensitivity",
+    "low_pass_lag",
+    "saturation",
+    "scale_asymmetry",
+    "scale_cubic",
+    "scale_quadratic",
+    "supply_hum",
+    "vibration_rectification",
+    "warm_up",
+]
+QUICK = ["clock_step", "dead_zone", "warm_up"]
 
 
-@pytest.mark.parametrize(
-    "cause",
-    [
-        "bias_ramp",
-        "bias_step",
-        "clock_skew",
-        "clock_step",
-        "dead_zone",
-        "g_sensitivity",
-        "low_pass_lag",
-        "saturation",
-        "scale_asymmetry",
-        "scale_cubic",
-        "scale_quadratic",
-        "supply_hum",
-        "vibration_rectification",
-        "warm_up",
-    ],
-)
+@pytest.mark.parametrize("cause", quick_cases(CAUSES, QUICK))
 def test_a_term_leaves_nothing_of_its_own_effect(cause: str) -> None:
     scorer = _scorer()
     assert scorer.left_share(cause) <= scorer.GOAL
 
 
-@pytest.mark.parametrize("cause", ["thermal_bias", "thermal_scale"])
+@pytest.mark.parametrize("cause", quick_cases(["thermal_bias", "thermal_scale"], ["thermal_scale"]))
 def test_nor_do_the_thermal_ones_in_a_room_that_swings(cause: str) -> None:
     scorer = _scorer()
     assert scorer.left_share(cause, soak_k=SOAK_K) <= scorer.GOAL

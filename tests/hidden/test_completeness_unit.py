@@ -6,6 +6,7 @@ from pathlib import Path
 from types import ModuleType
 
 import pytest
+from tests.support.quick_cases import quick_cases
 
 
 def _completeness() -> ModuleType:
@@ -23,34 +24,33 @@ def _completeness() -> ModuleType:
 
 completeness = _completeness()
 LEAST = 20.0  # energy of an effect that can be seen at all
+CASES = [
+    ("axis_nonorthogonality", None, None),
+    ("backlash", "pan", None),
+    ("backlash", "tilt", None),
+    ("base_compliance", "pan", None),
+    ("board_slip", None, None),
+    ("base_speed_jump", None, None),
+    ("base_speed_jump", "pan", None),
+    ("eccentricity", "pan", None),
+    ("eccentricity", "tilt", None),
+    ("lost_steps", "pan", None),
+    ("lost_steps", "tilt", None),
+    ("lost_steps", "tilt", 1.0),
+    ("motor_coupling", None, None),
+    ("ringing", "pan", None),
+    ("ringing", "tilt", None),
+    ("s_curve", None, None),
+    ("s_curve", "tilt", None),
+    ("step_resolution", "tilt", None),
+    ("tilt_sag", "tilt", None),
+    ("worm_error", "pan", None),
+    ("worm_error", "tilt", None),
+]
+QUICK = [("backlash", "pan", None), ("eccentricity", "tilt", None), ("lost_steps", "tilt", 1.0)]
 
 
-@pytest.mark.parametrize(
-    ("cause", "place", "size"),
-    [
-        ("axis_nonorthogonality", None, None),
-        ("backlash", "pan", None),
-        ("backlash", "tilt", None),
-        ("base_compliance", "pan", None),
-        ("board_slip", None, None),
-        ("base_speed_jump", None, None),
-        ("base_speed_jump", "pan", None),
-        ("eccentricity", "pan", None),
-        ("eccentricity", "tilt", None),
-        ("lost_steps", "pan", None),
-        ("lost_steps", "tilt", None),
-        ("lost_steps", "tilt", 1.0),
-        ("motor_coupling", None, None),
-        ("ringing", "pan", None),
-        ("ringing", "tilt", None),
-        ("s_curve", None, None),
-        ("s_curve", "tilt", None),
-        ("step_resolution", "tilt", None),
-        ("tilt_sag", "tilt", None),
-        ("worm_error", "pan", None),
-        ("worm_error", "tilt", None),
-    ],
-)
+@pytest.mark.parametrize(("cause", "place", "size"), quick_cases(CASES, QUICK))
 def test_its_term_leaves_next_to_nothing(cause: str, place: str | None, size: float | None) -> None:
     energies = completeness.energies(cause, size, place)
     assert energies.effect > LEAST
@@ -58,7 +58,10 @@ def test_its_term_leaves_next_to_nothing(cause: str, place: str | None, size: fl
 
 
 @pytest.mark.parametrize(
-    ("cause", "place"), [("acceleration_error", None), ("step_resolution", "pan")]
+    ("cause", "place"),
+    quick_cases(
+        [("acceleration_error", None), ("step_resolution", "pan")], [("acceleration_error", None)]
+    ),
 )
 def test_what_the_base_takes_up_leaves_nothing(cause: str, place: str | None) -> None:
     # The unit's answers show its true ramps, and the gain takes pan's step: no residual.

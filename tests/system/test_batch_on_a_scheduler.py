@@ -92,6 +92,7 @@ def spool(tmp_path: Path, contracts: Path) -> Path:
     return folder
 
 
+@pytest.mark.long
 def test_a_batch_on_a_scheduler_and_on_a_dying_one(
     cluster: Cluster, spool: Path, tmp_path: Path
 ) -> None:

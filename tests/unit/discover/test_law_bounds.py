@@ -14,11 +14,12 @@ from gyrorig_solver.discover.testable_terms import count_tests, select_testable
 from gyrorig_solver.model import find_term, term_label
 from gyrorig_solver.pipeline.prepare_board import fit_base_model
 
+TWO_CAUSES = ("acceleration_error@pan:0.01", "eccentricity@pan:0.002")
 HIDDEN = (
     ("clock_skew:2e-4",),
-    ("backlash@tilt:0.0015",),
+    pytest.param(("backlash@tilt:0.0015",), marks=pytest.mark.long),
     ("s_curve:0.02",),
-    ("acceleration_error@pan:0.01", "eccentricity@pan:0.002"),
+    pytest.param(TWO_CAUSES, marks=pytest.mark.long),
 )
 LAW_CAUSES = ("base_speed_jump", "acceleration_error", "s_curve")
 

@@ -207,6 +207,7 @@ def test_a_phone_on_a_unit_becomes_an_additional_board(
 FARTHEST_SIGMA, ALL_SIGMA = 4.0, 2.0
 
 
+@pytest.mark.long
 def test_the_calibration_of_a_phone_agrees_within_its_uncertainty(
     on_a_unit: tuple[Path, Path, dict[str, Any]], tmp_path: Path
 ) -> None:

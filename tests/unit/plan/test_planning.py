@@ -84,6 +84,7 @@ def test_emulated_rig_confirms_it(
     assert np.abs(off / prediction.gain_std).max() < 4.0
 
 
+@pytest.mark.long
 def test_same_seed_same_program_and_criteria_differ(rig: RigModel, sensor: SensorModel) -> None:
     program = find_program(rig.unit, sensor, 35.0, "mean", seed=3)
     two = find_program(rig.unit, sensor, 35.0, "mean", seed=3)

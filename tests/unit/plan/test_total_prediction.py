@@ -39,6 +39,7 @@ def only(**sizes: float) -> UncertaintySettings:
     return replace(default_settings(), prior_sizes=MappingProxyType(priors))
 
 
+@pytest.mark.long
 def test_the_search_adds_tilts_when_squareness_dominates(
     rig: RigModel, sensor: SensorModel
 ) -> None:
