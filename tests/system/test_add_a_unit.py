@@ -1,4 +1,4 @@
-"""The page 'Add a pan-tilt unit' as it is written: its three files record, solve, and are right."""
+"""The pages 'Add a pan-tilt unit' as they are written: their files record, solve, and are right."""
 
 import os
 import re
@@ -12,14 +12,14 @@ import pytest
 import yaml
 
 ROOT = Path(__file__).resolve().parents[2]
-PAGE = ROOT / "docs/how-to/add-a-unit.md"
+PAGES = {"turntable": "add-a-unit.md", "frame_head": "add-a-unit-with-frames.md"}
 FILE = re.compile(r"<!-- test: save (\S+) -->\n```\w+\n(.*?)```", re.DOTALL)
 QUICK = ROOT / "config/programs/quick.yaml"
 
 
-def written_files(folder: Path) -> list[str]:
-    """Write the files of the page, as a reader does."""
-    files = FILE.findall(PAGE.read_text(encoding="utf-8"))
+def written_files(folder: Path, page: str) -> list[str]:
+    """Write the files of a page, as a reader does."""
+    files = FILE.findall((ROOT / "docs/how-to" / page).read_text(encoding="utf-8"))
     for name, text in files:
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
         (folder / name).write_text(text, encoding="utf-8")
@@ -39,12 +39,13 @@ def run(folder: Path, *words: str) -> str:
     return completed.stdout
 
 
-def test_the_unit_of_the_page_records_and_solves(tmp_path: Path) -> None:
-    names = written_files(tmp_path)
+@pytest.mark.parametrize("driver", PAGES)
+def test_the_unit_of_the_page_records_and_solves(tmp_path: Path, driver: str) -> None:
+    names = written_files(tmp_path, PAGES[driver])
     assert names == [
-        "gyrorig_extensions/units/turntable.py",
-        "gyrorig_extensions/emulated_units/emulated_turntable.py",
-        "rig-turntable.yaml",
+        f"gyrorig_extensions/units/{driver}.py",
+        f"gyrorig_extensions/emulated_units/emulated_{driver}.py",
+        f"rig-{driver.replace('_', '-')}.yaml",
     ]
     record = ["gyrorig_daemon", "record", "--config", names[2], "--program", str(QUICK)]
     run(

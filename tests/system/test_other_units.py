@@ -1,7 +1,9 @@
 """Other units than a PTU-E46 from end to end: recorded, solved, halted, examined."""
 
+import os
 import threading
 import time
+import tty
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -129,3 +131,53 @@ def test_the_doctor_examines_a_table_without_moving_it() -> None:
         mute = PtuPort(port=port, driver="scpi_table", commands={"identify": "WHO?"})
         assert "scpi_table" in check_unit(mute)[0].what
         assert not rig.stage.pan.commands
+
+
+OWN_DRIVER = """
+from gyrorig_daemon.motion import DriverEntry
+
+DRIVER = DriverEntry("a unit without words", lambda port: None{halt_bytes})
+"""
+
+
+def write_own_driver(folder: Path, name: str, halt_bytes: bytes | None) -> None:
+    module = folder / f"gyrorig_extensions/units/{name}.py"
+    module.parent.mkdir(parents=True)
+    stated = "" if halt_bytes is None else f", halt_bytes={halt_bytes!r}"
+    module.write_text(OWN_DRIVER.format(halt_bytes=stated), encoding="utf-8")
+
+
+@pytest.mark.parametrize("halt_bytes", [b"\xaa\x00STOP", None], ids=["stated", "not stated"])
+def test_a_unit_without_words_never_gets_those_of_another_maker(
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+    halt_bytes: bytes | None,
+) -> None:
+    name = "own_with_bytes" if halt_bytes else "own_without_bytes"
+    write_own_driver(tmp_path, name, halt_bytes)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    unit_end, port_end = os.openpty()
+    try:
+        os.set_blocking(unit_end, False)
+        tty.setraw(port_end)
+        port = os.ttyname(port_end)
+        status = gyrorigd(["halt", "--port", port, "--driver", name])
+        message = capsys.readouterr().err
+        if halt_bytes is None:
+            assert status == 2
+            assert "nothing was sent" in message
+            with pytest.raises(BlockingIOError):
+                os.read(unit_end, 100)
+        else:
+            assert status == 1
+            assert "cannot confirm" in message
+            received = os.read(unit_end, 1000)
+            assert received == halt_bytes * (len(received) // len(halt_bytes))
+        (finding,) = check_unit(PtuPort(port=port, driver=name))
+        assert finding.code == "not_asked"
+        with pytest.raises(BlockingIOError):
+            os.read(unit_end, 100)
+    finally:
+        os.close(unit_end)
+        os.close(port_end)

@@ -14,7 +14,7 @@ import click
 
 from gyrorig_daemon.commands.terminal import CONTEXT
 from gyrorig_daemon.halt.standalone_halt import USUAL_BAUDS, HaltResult, halt_unit
-from gyrorig_protocol.errors import UsageError
+from gyrorig_protocol.errors import DeviceError, UsageError
 
 DEFAULT_DRIVER = "directed_perception"
 EMULATED, TERMINAL = "emulated", "terminal"  # as in `config`, whose imports are not wanted here
@@ -117,13 +117,28 @@ def _halt_with_driver(
 ) -> HaltResult:
     """Halt a unit that has another driver."""
     from gyrorig_daemon.config import PtuPort  # noqa: PLC0415 - not for the usual unit
-    from gyrorig_daemon.halt.text_unit_halt import halt_text_unit  # noqa: PLC0415
+    from gyrorig_daemon.halt.text_unit_halt import (  # noqa: PLC0415
+        halt_text_unit,
+        send_halt_bytes,
+    )
     from gyrorig_daemon.motion import find_driver  # noqa: PLC0415
 
-    language = find_driver(driver).language
-    if language is None:
-        return halt_unit(port, bauds)
-    return halt_text_unit(port, bauds, language(PtuPort(port=port, commands=dict(commands))))
+    entry = find_driver(driver)
+    if entry.language is not None:
+        config = PtuPort(port=port, commands=dict(commands))
+        return halt_text_unit(port, bauds, entry.language(config))
+    if entry.halt_bytes:
+        send_halt_bytes(port, bauds, entry.halt_bytes)
+        raise DeviceError(
+            f"the halt command was sent to {port}, but the driver {driver} cannot confirm without "
+            "the daemon that the unit stopped",
+            "make sure that the unit has stopped. If it still turns, switch off its power",
+        )
+    raise UsageError(
+        f"the driver {driver} does not state the bytes that halt its unit, so nothing was sent",
+        "switch off the power of the unit if it turns. Then add halt_bytes to DRIVER in the module "
+        "of the driver",
+    )
 
 
 def _read_entries(path: Path, port_is_given: bool) -> _Entries:

@@ -15,6 +15,7 @@ from gyrorig_daemon.halt.direct_ptu_line import DirectPtuLine
 from gyrorig_daemon.halt.standalone_halt import FIRST_ANSWER_S, OTHER_BAUD_ANSWER_S, USUAL_BAUDS
 from gyrorig_daemon.links.ports.serial_port import PortRefusedError, configure_raw
 from gyrorig_daemon.motion import find_driver
+from gyrorig_daemon.motion.drivers import directed_perception
 from gyrorig_protocol.errors import DeviceError
 from gyrorig_protocol.ptu import (
     PROBE,
@@ -48,6 +49,9 @@ def check_unit(config: PtuPort) -> list[Finding]:
     language = find_driver(config.driver).language
     if language is not None:
         return check_text_unit(config, language(config))
+    if config.driver != directed_perception.NAME:
+        message = f"the driver {config.driver} has no queries that can be sent without the daemon"
+        return [note(SUBJECT, "not_asked", message)]
     bauds = tuple(dict.fromkeys((config.baud, *USUAL_BAUDS)))
     try:
         with open_for_check(config.port, config.baud) as fd:

@@ -22,29 +22,30 @@ from gyrorig_daemon.halt.standalone_halt import (
     open_unit_port,
 )
 from gyrorig_daemon.links.ports.serial_port import PortRefusedError, configure_raw
+from gyrorig_daemon.motion.framing import decode_replies
 from gyrorig_daemon.motion.text_language import TextLanguage
 from gyrorig_protocol.errors import DeviceError
 from gyrorig_protocol.ptu import Axis
 
 
 class DirectTextLine(DirectPtuLine):
-    """One line and its reply at a time on an open port."""
+    """One command in words and its reply at a time on an open port."""
 
     def __init__(self, fd: int, port: str, end_s: float, language: TextLanguage) -> None:
         super().__init__(fd, port, end_s)
         self.language = language
-        self._buffer = b""
+        self._framing = language.make_framing()
 
     def ask_line(self, text: str, wait_s: float) -> str | None:
-        """Send one line and return the next line that arrives, None without one."""
-        self._buffer = b""
-        self.send(f"{text}{self.language.line_end}".encode("ascii"))
+        """Send one command and return the next reply that arrives, None without one."""
+        received = bytearray()
+        self.send(self._framing.encode(text))
         end_s = min(time.monotonic() + wait_s, self.end_s)
         while (left_s := end_s - time.monotonic()) > 0.0:
-            self._buffer += self.receive(left_s)
-            for line in self._buffer.splitlines(keepends=True):
-                if line.strip() and line[-1:] in b"\r\n":
-                    return line.decode("latin-1").strip()
+            received += self.receive(left_s)
+            replies, _ = decode_replies(self._framing, received)
+            if replies:
+                return replies[0]
         return None
 
     def find_identity(self, wait_s: float) -> dict[str, str] | None:
@@ -76,6 +77,28 @@ def halt_text_unit(
     finally:
         with contextlib.suppress(termios.error):
             termios.tcflush(fd, termios.TCIOFLUSH)
+        os.close(fd)
+
+
+def send_halt_bytes(
+    port: str, bauds: Sequence[int], halt_bytes: bytes, timeout_s: float = TIMEOUT_S
+) -> None:
+    """Send the halt bytes of a driver without a `TextLanguage` at each baud rate.
+
+    Raises:
+        BusyError, UsageError, MachineError, DeviceError: the port cannot be opened.
+    """
+    end_s = time.monotonic() + timeout_s
+    fd = open_unit_port(port, bauds[0], end_s)
+    try:
+        line = DirectPtuLine(fd, port, end_s)
+        for baud in bauds:
+            if baud != bauds[0]:
+                with contextlib.suppress(PortRefusedError):
+                    configure_raw(fd, baud)
+            line.send(halt_bytes)
+            line.drain()
+    finally:
         os.close(fd)
 
 

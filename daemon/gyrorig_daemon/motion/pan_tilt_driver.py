@@ -1,7 +1,7 @@
 """The interface between the daemon and a motion unit of any maker.
 
 What to use when: implement `PanTiltDriver` in a module of `drivers`, and name it there in `DRIVER`.
-A unit that answers each line of text with one line needs only a `TextLanguage`, see `text_unit`.
+A unit that answers each command with one reply needs only a `TextLanguage`, see `text_unit`.
 `drivers.find_driver` finds a driver by the name in the rig file.
 
 The daemon counts each axis in steps. A driver chooses the size of a step, states it in `UnitFacts`
@@ -174,13 +174,16 @@ class DriverEntry:
     Attributes:
         title: the units that it drives, for people.
         make: makes the driver; it sends nothing.
-        language: the words of a unit of text lines; with them `gyrorigd halt` and `gyrorigd doctor`
-            talk to the unit without the daemon. None: the Directed Perception commands.
+        language: the words of a unit that answers each command with one reply; with them
+            `gyrorigd halt` and `gyrorigd doctor` talk to the unit without the daemon.
+        halt_bytes: for a driver without `language`, the bytes that stop its unit in any state;
+            `gyrorigd halt` sends them.
     """
 
     title: str
     make: Callable[[DriverPort], PanTiltDriver]
     language: Callable[[PtuPort], TextLanguage] | None = None
+    halt_bytes: bytes = b""
 
 
 AXES_OF_ORDERS = {OrderAxis.PAN: Axis.PAN, OrderAxis.TILT: Axis.TILT}

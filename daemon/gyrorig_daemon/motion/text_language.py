@@ -1,17 +1,20 @@
-"""The words of a unit that answers each line of text with one line of text.
+"""The words of a unit that answers each command with one reply.
 
 What to use when: `TextLanguage` in the module of a driver; `text_unit.TextUnit` drives the unit
 with it, and `gyrorigd halt` and `gyrorigd doctor` use the same words. `with_commands` replaces
-words by those of the rig file.
+words by those of the rig file. The words are lines of text, or a `framing` translates them to the
+frames of the unit.
 
-In a command, `{axis}` is the name of the axis and `{value}` a number in deg, deg/s or deg/s^2. A
-pattern is a regular expression for a whole reply. A value can be a number instead of a query.
+In a command, `{axis}` is the name of the axis and `{value}` a number in units of `unit_deg`. A
+pattern is a regular expression for a whole reply. The ends, the speeds and the acceleration can be
+a number in deg, deg/s or deg/s^2 instead of a query.
 """
 
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields, replace
 
+from gyrorig_daemon.motion.framing import Framing, LineFraming
 from gyrorig_protocol.errors import UsageError
 from gyrorig_protocol.ptu import Axis
 from gyrorig_protocol.suggestions import did_you_mean
@@ -26,8 +29,13 @@ class TextLanguage:
 
     Attributes:
         axes: the name of each axis of the unit in its commands.
-        resolution_deg: size of a step of the driver; a unit should report finer positions.
-        line_end: end of every line.
+        resolution_deg: size of a step of the driver, usually the smallest difference between two
+            positions that the unit can report.
+        unit_deg: size of the unit of `{value}` and of all numbers in replies, in deg: 1 for
+            degrees, 0.001 for millidegrees. A unit that takes only whole numbers needs a
+            `resolution_deg` that is a multiple of it.
+        framing: makes the translation between words and bytes; None for lines of text.
+        line_end: end of every line of text.
         min_interval_s: shortest time between two requests.
         identify: asks for the identity.
         identity: pattern of the identity, with the groups `model`, `serial` and `firmware`.
@@ -43,7 +51,8 @@ class TextLanguage:
             an optional group `moving` is 0 at rest.
         lowest, highest: the ends of travel, a query or a number in deg.
         slowest, fastest: the speeds of moves, a query or a number in deg/s.
-        rate_change: the acceleration in force, a query or a number in deg/s^2.
+        rate_change: the acceleration in force, a query or a number in deg/s^2. A number is valid
+            until the driver sends `acceleration`; then the acceleration in the command is in force.
     """
 
     name: str
@@ -66,12 +75,19 @@ class TextLanguage:
     rate_change: str = "100"
     line_end: str = "\n"
     resolution_deg: float = 1e-4
+    unit_deg: float = 1.0
+    framing: Callable[[], Framing] | None = None
     min_interval_s: float = 0.02
 
     @property
     def halt_bytes(self) -> bytes:
-        """Bytes that stop the unit; the first line end ends a truncated command."""
-        return f"{self.line_end}{self.halt}{self.line_end}".encode("ascii")
+        """Bytes that stop the unit; the first ones end a truncated command."""
+        framing = self.make_framing()
+        return framing.halt_prefix + framing.encode(self.halt)
+
+    def make_framing(self) -> Framing:
+        """Return the translation between words and bytes for one line."""
+        return LineFraming(self.line_end) if self.framing is None else self.framing()
 
     def with_commands(self, commands: Mapping[str, str]) -> "TextLanguage":
         """Return the language with other words.
@@ -94,7 +110,7 @@ class TextLanguage:
 
     def format(self, command: str, axis: Axis, value_deg: float = 0.0) -> str:
         """Return a command for an axis with a value in deg, deg/s or deg/s^2."""
-        value = f"{value_deg:.6f}".rstrip("0").rstrip(".")
+        value = f"{value_deg / self.unit_deg:.9f}".rstrip("0").rstrip(".")
         return command.replace("{axis}", self.axes[axis]).replace("{value}", value)
 
     def is_accepted(self, reply: str) -> bool:
@@ -105,6 +121,11 @@ class TextLanguage:
         """Return model, serial and firmware; None if another device has replied."""
         match = re.fullmatch(self.identity, reply)
         return None if match is None else {k: v or "" for k, v in match.groupdict().items()}
+
+    def read_value_deg(self, reply: str) -> float | None:
+        """Return the first number in a reply, in deg, deg/s or deg/s^2; None without one."""
+        number = read_number(reply)
+        return None if number is None else number * self.unit_deg
 
     def read_positions(self, reply: str, asked: Axis) -> tuple[dict[Axis, int], bool | None]:
         """Return positions in steps, and whether the unit is at rest as far as it says so.
@@ -122,7 +143,7 @@ class TextLanguage:
             texts = {asked: groups["value"]}
         steps = {}
         for axis, text in texts.items():
-            value_deg = None if text is None else read_number(text)
+            value_deg = None if text is None else self.read_value_deg(text)
             if value_deg is not None and abs(value_deg) < self.resolution_deg * 2**31:
                 steps[axis] = round(value_deg / self.resolution_deg)
         moving = groups.get("moving")

@@ -1,4 +1,4 @@
-"""The host's end of the line of a unit that answers each line with one line.
+"""The host's end of the line of a unit that answers each command with one reply.
 
 After a missing reply the line is out of step: a late reply could be taken for the next one. Then
 the identity is asked for before the next command, and everything before its reply is discarded.
@@ -9,6 +9,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from gyrorig_daemon.links.ports.port_hub import Chunk, PortChange
+from gyrorig_daemon.motion.framing import decode_replies
 from gyrorig_daemon.motion.pan_tilt_driver import DriverPort
 from gyrorig_daemon.motion.ptu_exchange import Exchange, PtuLineCounts
 from gyrorig_daemon.motion.text_language import TextLanguage
@@ -16,7 +17,6 @@ from gyrorig_protocol.errors import DeviceError
 from gyrorig_protocol.motion_orders import AxisOrder
 from gyrorig_protocol.ptu import AnswerKind, PtuCommand, Reply
 
-MAX_LINE_BYTES = 512
 DRAIN_S = 0.3
 RESYNC_TIMEOUT_S = 2.0
 BITS_PER_BYTE = 10  # 8N1
@@ -24,13 +24,13 @@ BITS_PER_BYTE = 10  # 8N1
 
 @dataclass(frozen=True, slots=True)
 class TextCommand(PtuCommand):
-    """A command with the line end of its unit."""
+    """A command in words, with its bytes."""
 
-    line_end: str = field(default="\n")
+    data: bytes = field(default=b"")
 
     def encode(self) -> bytes:
         """Return the bytes to write."""
-        return f"{self.text}{self.line_end}".encode("ascii")
+        return self.data
 
 
 class TextLine:
@@ -47,6 +47,7 @@ class TextLine:
         self.min_interval_s = language.min_interval_s
         self.is_identified = False
         self.is_port_gone = not port.pump.is_up(port.port)
+        self._framing = language.make_framing()
         self._received = bytearray()
         self._first_ns = 0
         self._reply: Reply | None = None
@@ -62,7 +63,7 @@ class TextLine:
         is_poll: bool = False,
         timeout_s: float | None = None,
     ) -> Exchange:
-        """Send one command and wait for its line; without a line its reply is None.
+        """Send one command and wait for its reply, which is None if it does not come in time.
 
         Args:
             text: the command or query.
@@ -115,7 +116,7 @@ class TextLine:
     ) -> Exchange:
         if self._last_request_ns is not None:
             self._pump.run_until(self._last_request_ns + int(self.min_interval_s * 1e9))
-        command = TextCommand(text, AnswerKind.TEXT, line_end=self.language.line_end)
+        command = TextCommand(text, AnswerKind.TEXT, data=self._framing.encode(text))
         self._received.clear()
         self._reply, self._in_flight, self._is_awaited = None, True, awaited
         times = self._pump.write(self._port, command.encode())
@@ -163,22 +164,18 @@ class TextLine:
         if chunk.change is not None:
             self._handle_change(chunk.change)
             return
-        for value in chunk.data:
-            if value in b"\r\n":
-                if self._received:
-                    self._handle_line(bytes(self._received), chunk.received_ns)
-                    self._received.clear()
-            elif len(self._received) < MAX_LINE_BYTES:
-                if not self._received:
-                    self._first_ns = chunk.received_ns
-                self._received.append(value)
+        if not self._received:
+            self._first_ns = chunk.received_ns
+        self._received += chunk.data
+        before = bytes(self._received)
+        replies, damaged_count = decode_replies(self._framing, self._received)
+        self.counts.frame_errors += damaged_count
+        for text in replies:
+            self._handle_reply(text, before[: len(before) - len(self._received)], chunk.received_ns)
+        if len(self._received) < len(before):
+            self._first_ns = chunk.received_ns  # of what is left, at the latest
 
-    def _handle_line(self, raw: bytes, received_ns: int) -> None:
-        try:
-            text = raw.decode("ascii").strip()
-        except UnicodeDecodeError:
-            self.counts.frame_errors += 1
-            return
+    def _handle_reply(self, text: str, raw: bytes, received_ns: int) -> None:
         is_awaited = self._is_awaited is None or self._is_awaited(text)
         if not self._in_flight or self._reply is not None or not is_awaited:
             self.counts.stale += 1

@@ -1,7 +1,7 @@
-"""Driver of any unit that answers each line of text with one line of text.
+"""Driver of any unit that answers each command with one reply, in lines of text or in frames.
 
 What to use when: `text_driver` makes the entry of a driver from a `TextLanguage`. A unit needs a
-separate driver only if one line does not answer one line, or if it sends lines by itself.
+separate driver only if one reply does not answer one command.
 """
 
 from collections.abc import Callable, Sequence
@@ -18,7 +18,7 @@ from gyrorig_daemon.motion.pan_tilt_driver import (
     unidentified_error,
 )
 from gyrorig_daemon.motion.ptu_exchange import PtuLineCounts
-from gyrorig_daemon.motion.text_language import TextLanguage, read_number
+from gyrorig_daemon.motion.text_language import TextLanguage
 from gyrorig_daemon.motion.text_line import TextLine
 from gyrorig_daemon.motion.unit_facts import (
     ARCSEC_PER_DEG,
@@ -118,7 +118,7 @@ class TextUnit:
             tilt=axes.get(Axis.TILT) or fixed_axis(),
             baud=self._config.baud,
             driver=self.name,
-            poll_bytes=len(self._poll_text(self.axes[0])) + len(self._language.line_end),
+            poll_bytes=len(self._language.make_framing().encode(self._poll_text(self.axes[0]))),
             axes=self.axes,
         )
 
@@ -228,10 +228,11 @@ class TextUnit:
 
     def _set_up_axis(self, axis: Axis, settings: PtuSettings) -> AxisFacts:
         language, step_deg = self._language, self._language.resolution_deg
+        ordered: int | None = None
         if settings.acceleration_deg_s2 is not None and language.acceleration:
-            steps = round(settings.acceleration_deg_s2 / step_deg)
-            text = self._with_value(language.acceleration, axis, steps)
-            self._order(text, self._orders(OrderKind.ACCELERATION, axis, steps))
+            ordered = round(settings.acceleration_deg_s2 / step_deg)
+            text = self._with_value(language.acceleration, axis, ordered)
+            self._order(text, self._orders(OrderKind.ACCELERATION, axis, ordered))
 
         def steps_of(words: str, rounded: Callable[[float], int] = round) -> int:
             return rounded(self._number(words, axis) / step_deg)
@@ -246,21 +247,21 @@ class TextUnit:
             lower_speed=steps_of(language.slowest),
             upper_speed=fastest,
             base_speed=0,
-            acceleration=steps_of(language.rate_change),
+            acceleration=ordered
+            if ordered is not None and _is_number(language.rate_change)
+            else steps_of(language.rate_change),
             sign=self._config.pan_sign if axis is Axis.PAN else self._config.tilt_sign,
         )
 
     def _number(self, words: str, axis: Axis) -> float:
-        """Return a number that the language states, or the reply to its query, received twice."""
-        try:
+        """Return what the language states, or the reply to its query, received twice; in deg."""
+        if _is_number(words):
             return float(words)
-        except ValueError:
-            pass
         query = self._language.format(words, axis)
         previous: float | None = None
         for _ in range(2 * ATTEMPTS):
             reply = self._line.exchange(query).reply
-            value = None if reply is None else read_number(reply.text)
+            value = None if reply is None else self._language.read_value_deg(reply.text)
             if value is not None and value == previous:
                 return value
             previous = value
@@ -276,8 +277,16 @@ class TextUnit:
         return (AxisOrder(kind, _AXES[axis], float(steps)),)
 
 
+def _is_number(words: str) -> bool:
+    try:
+        float(words)
+    except ValueError:
+        return False
+    return True
+
+
 def text_driver(title: str, language: TextLanguage) -> DriverEntry:
-    """Return the entry of a driver for a unit of text lines."""
+    """Return the entry of a driver for a unit that answers each command with one reply."""
 
     def words(config: PtuPort) -> TextLanguage:
         return language.with_commands(config.commands)

@@ -30,6 +30,7 @@ def find_front_end(name: str) -> FrontEnd:
         raise UsageError(
             f"the emulator cannot play the unit of the driver {name!r:.40}",
             "set ptu.port in the rig file to the port of a real unit, or write the Python module "
-            f"{EXTENSIONS}.{FOLDER}.emulated_{name:.40}",
+            f"{EXTENSIONS}.{FOLDER}.emulated_{name:.40}. If it exists, add the folder of "
+            f"{EXTENSIONS} to PYTHONPATH",
         )
     return front_end

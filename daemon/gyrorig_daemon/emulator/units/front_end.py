@@ -1,7 +1,8 @@
 """What plays a motion unit on its line: characters in, replies out, over the physics of the axes.
 
 What to use when: `EmulatedTextUnit` for a unit that answers each line with one line; implement
-`reply` and name the class in `FRONT_END`.
+`reply` and name the class in `FRONT_END`. For a unit of binary frames, implement `take_command` and
+`answer` of `EmulatedAnsweringUnit`.
 """
 
 from collections.abc import Callable
@@ -18,7 +19,7 @@ from gyrorig_daemon.emulator.physics.stage_motion import Stage
 from gyrorig_daemon.emulator.physics.stepper_axis import StepperAxis
 
 ARCSEC_PER_DEG = 3600.0
-MAX_LINE_BYTES = 200
+MAX_COMMAND_BYTES = 200
 
 
 class EmulatedUnit(Protocol):
@@ -89,10 +90,16 @@ class EmulatedAxis:
         return MotionLaw(0.0, speed / self.step_deg, acceleration / self.step_deg)
 
 
-class EmulatedTextUnit:
-    """A unit that answers each line with one line. A subclass implements `reply`."""
+class EmulatedAnsweringUnit:
+    """A unit that answers each command with one reply.
 
-    line_end = b"\n"
+    A subclass implements `take_command` and `answer`.
+
+    Attributes:
+        settings: settings of the axes and of the line.
+        pan: the pan axis.
+        tilt: the tilt axis.
+    """
 
     def __init__(
         self,
@@ -112,8 +119,15 @@ class EmulatedTextUnit:
         self._transmit_queue = TransmitQueue(settings.baud)
         self._input = bytearray()
 
-    def reply(self, line: str, time_s: float) -> str | None:
-        """Execute a line at a time, in s since power-up; None for no reply."""
+    def take_command(self, received: bytearray) -> bytes | None:
+        """Remove the first complete command from `received` and return it, None without one.
+
+        It is called after each byte. Bytes that belong to no command must be removed, too.
+        """
+        raise NotImplementedError
+
+    def answer(self, command: bytes, time_s: float) -> bytes | None:
+        """Execute a command at a time, in s since power-up; None for no reply."""
         raise NotImplementedError
 
     def receive(self, data: bytes, at_ns: int) -> None:
@@ -121,12 +135,12 @@ class EmulatedTextUnit:
         self._transmit_queue.advance(at_ns)
         arrivals = self._receive_line.arrivals(len(data), at_ns)
         for byte, arrived_ns in zip(data, arrivals, strict=True):
-            if byte in b"\r\n":
-                line, self._input = self._input.decode("ascii", "replace"), bytearray()
-                if line.strip():
-                    self._handle_line(line.strip(), arrived_ns)
-            elif len(self._input) <= MAX_LINE_BYTES:
-                self._input.append(byte)
+            self._input.append(byte)
+            command = self.take_command(self._input)
+            if command is not None:
+                self._handle_command(command, arrived_ns)
+            elif len(self._input) > MAX_COMMAND_BYTES:
+                self._input.clear()
 
     def next_output_ns(self) -> int | None:
         """Return when the next bytes have left the line."""
@@ -136,15 +150,37 @@ class EmulatedTextUnit:
         """Return the bytes that have left the line up to a time."""
         return self._transmit_queue.take(until_ns)
 
-    def _handle_line(self, line: str, arrived_ns: int) -> None:
+    def _handle_command(self, command: bytes, arrived_ns: int) -> None:
         command_ns = round(self.settings.command_time_ms * 1e6)
         start_ns = max(arrived_ns, self._busy_until_ns)
         act_ns = start_ns + round(command_ns * self.settings.sample_fraction)
-        text = self.reply(line, (act_ns - self._origin_ns) * 1e-9)
+        data = self.answer(command, (act_ns - self._origin_ns) * 1e-9)
         self._busy_until_ns = start_ns + command_ns
-        if text is not None and not self.settings.faults.silent:
-            data = text.encode("ascii") + self.line_end
+        if data is not None and not self.settings.faults.silent:
             self._transmit_queue.send(self._busy_until_ns, data, split_first=True)
+
+
+class EmulatedTextUnit(EmulatedAnsweringUnit):
+    """A unit that answers each line with one line. A subclass implements `reply`."""
+
+    line_end = b"\n"
+
+    def reply(self, line: str, time_s: float) -> str | None:
+        """Execute a line at a time, in s since power-up; None for no reply."""
+        raise NotImplementedError
+
+    def take_command(self, received: bytearray) -> bytes | None:
+        """See `EmulatedAnsweringUnit`; empty lines are ignored."""
+        if received[-1] not in b"\r\n":
+            return None
+        line = bytes(received).strip()
+        received.clear()
+        return line or None
+
+    def answer(self, command: bytes, time_s: float) -> bytes | None:
+        """See `EmulatedAnsweringUnit`."""
+        text = self.reply(command.decode("ascii", "replace"), time_s)
+        return None if text is None else text.encode("ascii") + self.line_end
 
 
 def _axis(

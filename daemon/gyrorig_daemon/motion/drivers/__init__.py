@@ -9,6 +9,7 @@ import importlib
 
 from gyrorig_daemon.motion.pan_tilt_driver import DriverEntry
 from gyrorig_protocol.errors import UsageError
+from gyrorig_protocol.module_registry import EXTENSIONS as PACKAGE
 from gyrorig_protocol.module_registry import find_module, module_names
 from gyrorig_protocol.suggestions import did_you_mean
 
@@ -33,7 +34,8 @@ def find_driver(name: str) -> DriverEntry:
             f"there is no driver {name!r:.40} of a motion unit",
             hint
             or f"set ptu.driver in the rig file to one of {', '.join(driver_names())}, or write "
-            "the driver as the page 'Add a pan-tilt unit' describes",
+            f"the Python module {PACKAGE}.{EXTENSIONS}.{name:.40}. If it exists, add the folder of "
+            f"{PACKAGE} to PYTHONPATH",
         )
     entry = getattr(importlib.import_module(module_name), "DRIVER", None)
     if not isinstance(entry, DriverEntry):

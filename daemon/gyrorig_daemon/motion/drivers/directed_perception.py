@@ -220,4 +220,6 @@ def _make(port: DriverPort) -> DirectedPerceptionUnit:
     return DirectedPerceptionUnit(client, port.config)
 
 
-DRIVER = DriverEntry("FLIR and Directed Perception PTU-E46, D46, D48, D48E", _make)
+DRIVER = DriverEntry(
+    "FLIR and Directed Perception PTU-E46, D46, D48, D48E", _make, halt_bytes=HALT_BYTES
+)
