@@ -54,6 +54,7 @@ DRIVERS = [NAMED] if NAMED else [*driver_names(), "turntable", "frame_head"]
 ORIGIN_NS = 5_000_000_000
 SETTINGS = PtuSettings(acceleration_deg_s2=50.0)
 SPEED_DEG_S = 20.0
+LONG_MOVES = {Axis.PAN: (40.0, SPEED_DEG_S), Axis.TILT: (25.0, 5.0)}  # deg and deg/s
 STOPS_WITHIN_S = 1.5  # from 20 deg/s at 50 deg/s^2: 0.4 s and the time of the exchanges
 
 
@@ -122,20 +123,27 @@ class Bench:
             steps, lambda _: None
         )
 
-    def start(self, unit: Unit, angle_deg: float = 40.0) -> None:
-        """Start a move of pan and return while the unit turns."""
-        facts = unit.facts.pan
-        target = facts.to_steps(angle_deg)
-        self.driver.start_move([AxisTarget(Axis.PAN, target, facts.to_speed(SPEED_DEG_S))])
+    def start(self, unit: Unit, sign: int = 1) -> None:
+        """Start a move of all axes and return while they turn."""
+        targets = []
+        for axis in self.driver.axes:
+            facts, (angle_deg, speed_deg_s) = unit.facts.axis(axis), LONG_MOVES[axis]
+            target, speed = facts.to_steps(sign * angle_deg), facts.to_speed(speed_deg_s)
+            targets.append(AxisTarget(axis, target, speed))
+        self.driver.start_move(targets)
         self.wait(0.5)
-        assert self.turns(), "the unit acknowledges a move, but it does not turn"
+        for axis in self.driver.axes:
+            assert self.axis_turns(axis), f"the unit acknowledges a move of {axis.label} only"
 
     def wait(self, seconds: float) -> None:
         self.pump.run_until(self.hub.now_ns() + round(seconds * 1e9))
 
-    def turns(self) -> bool:
+    def axis_turns(self, axis: Axis) -> bool:
         stage, now_s = self.emulated.stage, (self.hub.now_ns() - ORIGIN_NS) * 1e-9
-        return stage.pan.is_moving(now_s) or stage.tilt.is_moving(now_s)
+        return (stage.pan if axis is Axis.PAN else stage.tilt).is_moving(now_s)
+
+    def turns(self) -> bool:
+        return self.axis_turns(Axis.PAN) or self.axis_turns(Axis.TILT)
 
     def angle_deg(self, axis: Axis) -> float:
         """Return where the axis of the emulated rig is, by its own count."""
@@ -213,7 +221,7 @@ def test_polls_give_the_position_at_their_time(bench: Bench) -> None:
     bench.start(unit)
     facts, played = unit.facts.pan, bench.emulated.stage.pan
     seen = 0
-    while bench.turns():
+    while bench.axis_turns(Axis.PAN):
         poll = bench.driver.poll()
         if Axis.PAN not in poll.steps:
             continue
@@ -246,7 +254,7 @@ def test_the_halt_bytes_stop_the_unit_after_any_part_of_a_command(bench: Bench) 
     for part in sorted(parts):
         if part:
             bench.driver.halt()
-            bench.start(unit, 40.0 if bench.angle_deg(Axis.PAN) < 0.0 else -40.0)
+            bench.start(unit, 1 if bench.angle_deg(Axis.PAN) < 0.0 else -1)
         bench.hub.write("ptu", part)
         bench.hub.write("ptu", bench.driver.halt_bytes)
         bench.wait(STOPS_WITHIN_S)
@@ -292,6 +300,16 @@ def test_damaged_replies_raise_nothing_but_device_errors(
     monkeypatch.undo()
     bench.driver.halt()
     bench.wait(STOPS_WITHIN_S)
+    assert not bench.turns()
+
+
+def test_a_refusal_is_not_an_acknowledgement(bench: Bench) -> None:
+    unit = bench.open()
+    facts = unit.facts.pan
+    beyond = AxisTarget(Axis.PAN, facts.max_steps + facts.to_speed(5.0), facts.to_speed(5.0))
+    with pytest.raises(DeviceError):
+        bench.driver.start_move([beyond])
+    bench.wait(0.2)
     assert not bench.turns()
 
 
