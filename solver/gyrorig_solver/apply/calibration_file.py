@@ -11,6 +11,7 @@ from pathlib import Path
 from gyrorig_protocol.errors import InputError
 from gyrorig_protocol.suggestions import did_you_mean
 from gyrorig_solver.calibration import CalibrationDocument, parse_calibration
+from gyrorig_solver.calibration.document_checks import check_values
 
 BASE_PARAMETERS = ("bias", "scale", "nonorthogonality", "misalignment", "time_offset")
 # The causes that a correction applies, with their parameters.
@@ -62,10 +63,11 @@ def read_document(path: Path) -> bytes:
 
 
 def check_parameters(document: CalibrationDocument, name: str) -> None:
-    """Check the names of a calibration's parameters against the catalogue of causes.
+    """Check a calibration's values, and its names against the catalogue of causes.
 
     Raises:
-        InputError: a name is not known, or a base parameter is missing.
+        InputError: a name is not known, a base parameter is missing, or a value is not that of a
+            gyroscope.
     """
     # One file per cause. The files are not imported: they need scipy.
     folder = files("gyrorig_solver") / "model" / "causes"
@@ -92,3 +94,4 @@ def check_parameters(document: CalibrationDocument, name: str) -> None:
             f"the calibration {name} lacks the parameter {missing[0]!r}",
             "solve the recording again",
         )
+    check_values(document, name)

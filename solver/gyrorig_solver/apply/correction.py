@@ -289,7 +289,10 @@ def _lag_s(calibration: CalibrationDocument, curve: TemperatureCurve | None) -> 
         return 0.0
     if calibration.temperature is not None:
         return calibration.temperature.lag_s
-    return float(_optional_values(calibration, "thermal_bias.lag")[0])
+    lag = calibration.parameters.get("thermal_bias.lag")
+    if lag is None:
+        return 0.0
+    return float(_values_or_zero(lag, calibration, "thermal_bias.lag", 1)[0])
 
 
 def _temperature_curves(
@@ -328,7 +331,7 @@ def _thermal_bias_orders(calibration: CalibrationDocument) -> list[FloatArray]:
             parameter = calibration.parameters.get("thermal_bias")
         if parameter is None:
             break
-        orders.append(_values_or_zero(parameter))
+        orders.append(_values_or_zero(parameter, calibration, f"thermal_bias.{order}"))
     return orders
 
 
@@ -349,7 +352,7 @@ def _g_sensitivity(calibration: CalibrationDocument) -> tuple[FloatArray, list[s
     misalignment = np.array(calibration.matrices.M, dtype=np.float64)
     if parameter is None or not np.all(np.isfinite(misalignment)):
         return np.zeros((3, 3)), []
-    stage = _values_or_zero(parameter).reshape(3, 3)
+    stage = _values_or_zero(parameter, calibration, "g_sensitivity", 9).reshape(3, 3)
     is_partial = isinstance(parameter.value, list) and None in parameter.value
     words = (
         "g_sensitivity along the stage's x axis is set to 0, because the motion of the recording "
@@ -375,12 +378,28 @@ def _known_values(calibration: CalibrationDocument, parameter: str, name: str) -
 
 
 def _optional_values(calibration: CalibrationDocument, cause: str) -> FloatArray:
-    """Return a cause's three values, zeros where it was not fitted."""
+    """Return a cause's three values, zeros where it was not fitted.
+
+    Raises:
+        InputError: the cause has another number of values.
+    """
     parameter = calibration.parameters.get(cause)
-    return np.zeros(3) if parameter is None else _values_or_zero(parameter)
+    return np.zeros(3) if parameter is None else _values_or_zero(parameter, calibration, cause)
 
 
-def _values_or_zero(parameter: Parameter) -> FloatArray:
-    """Return a parameter's values, zero where one is null."""
+def _values_or_zero(
+    parameter: Parameter, calibration: CalibrationDocument, name: str, count: int = 3
+) -> FloatArray:
+    """Return a parameter's values, zero where one is null.
+
+    Raises:
+        InputError: the parameter has another number of values.
+    """
     value = parameter.value if isinstance(parameter.value, list) else [parameter.value]
+    if len(value) != count:
+        raise InputError(
+            f"the calibration of {calibration.board.id} has {len(value)} values of {name} instead "
+            f"of {count}",
+            "correct the document, or solve the recording again",
+        )
     return np.array([0.0 if v is None else v for v in value], dtype=np.float64)

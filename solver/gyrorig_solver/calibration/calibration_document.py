@@ -10,6 +10,7 @@ from typing import Annotated, Any, Literal
 import msgspec
 
 from gyrorig_protocol.documents import dump_yaml, parse_result_document
+from gyrorig_solver.calibration.document_checks import check_document
 from gyrorig_solver.calibration.temperature_record import TemperatureRecord
 
 SCHEMA = "gyrorig/calibration/1"
@@ -249,7 +250,7 @@ class CalibrationDocument(_DocumentPart, frozen=True, kw_only=True, omit_default
 
     schema: Literal["gyrorig/calibration/1"] = msgspec.field()
     board: BoardRecord
-    version: Annotated[int, msgspec.Meta(ge=1)]
+    version: Annotated[int, msgspec.Meta(ge=1, le=999_999_999)]
     previous: str | None = None
     created: str
     inputs: list[SolvedInput]
@@ -285,6 +286,9 @@ def parse_calibration(text: str | bytes, name: str) -> CalibrationDocument:
     """Return the calibration of a YAML document.
 
     Raises:
-        InputError: it is not YAML, has another schema, or does not match it.
+        InputError: it is not YAML, has another schema, does not match it, or has names or lists
+            that no calibration has.
     """
-    return parse_result_document(text, name, CalibrationDocument, SCHEMA)
+    document = parse_result_document(text, name, CalibrationDocument, SCHEMA)
+    check_document(document, name)
+    return document

@@ -13,9 +13,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gyrorig_protocol.errors import UsageError
+from gyrorig_protocol.errors import InputError, UsageError
 from gyrorig_solver.data import FloatArray, IntArray, TemperatureCurve
-from gyrorig_solver.export.export_source import ExportSource, printable_line, quoted
+from gyrorig_solver.export.export_source import ExportSource, comment_lines, quoted
 
 _INT16_LIMIT = 32768
 _INT32_LIMIT = 2**31 - 1
@@ -83,7 +83,7 @@ def c_header(source: ExportSource, name: str | None = None) -> str:
             "add gyro_scale_rad_s of the board to the rig file or the import map, then "
             "record or import again, and solve again",
         )
-    stem = name or _identifier(source.document.board.id)
+    stem = _identifier(source.document.board.id) if name is None else name
     if not re.fullmatch(r"[A-Za-z_][A-Za-z0-9_]{0,40}", stem):
         raise UsageError(
             f"the name {stem[:40]!r} is not a valid name in C",
@@ -133,7 +133,7 @@ def _header_comment(
         "",
         "Input: counts as the sensor sends them, in its own axes x, y, z.",
         f"Output: the true rate in rad/s, in {source.axes_text}.",
-        "    rate = A counts + c;  A = scale (S T M)^-1, c = -(S T M)^-1 b; rows first.",
+        "    rate = A counts + c; A = scale (S T M)^-1, c = -(S T M)^-1 b; rows first.",
         "Positive rates are counter-clockwise about their axis, seen from its tip.",
         f"{stem}_rate_float gives floats. {stem}_rate_fixed gives 32-bit integers in steps",
         f"    of 2^-{fixed.fraction_bits} rad/s; their rounding error is at most "
@@ -154,8 +154,7 @@ def _header_comment(
             )
         )
     yield "/*"
-    yield from (f" * {printable_line(line) if line.strip() == line else line}".rstrip()
-                for line in lines)  # fmt: skip
+    yield from comment_lines(" * ", lines)
     yield " */"
 
 
@@ -348,6 +347,17 @@ def _test_vectors(limit: int) -> list[list[int]]:
 
 
 def _float_literal(value: float) -> str:
-    """Return a float literal; nine digits give exactly the same float."""
-    text = f"{float(np.float32(value)):.9g}"
+    """Return a float literal; nine digits give exactly the same float.
+
+    Raises:
+        InputError: the value is too large for a float.
+    """
+    with np.errstate(over="ignore"):
+        rounded = float(np.float32(value))
+    if not math.isfinite(rounded):
+        raise InputError(
+            f"the calibration needs the number {value:.3g}, which is too large for a float in C",
+            "solve the recording again, or use the format json",
+        )
+    text = f"{rounded:.9g}"
     return f"{text}f" if any(c in text for c in ".e") else f"{text}.0f"

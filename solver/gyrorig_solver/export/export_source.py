@@ -3,7 +3,8 @@
 What to use when: `ExportSource.of` once per calibration; the format modules take its result.
 """
 
-from collections.abc import Sequence
+import re
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Self
 
@@ -11,8 +12,10 @@ import numpy as np
 
 from gyrorig_protocol.errors import InputError
 from gyrorig_solver.apply import Calibration, Correction, Frame
+from gyrorig_solver.apply.calibration_file import check_parameters
 from gyrorig_solver.apply.correction import build_bias_correction, unobservable_text
 from gyrorig_solver.calibration import calibration_document
+from gyrorig_solver.calibration.document_checks import check_document
 from gyrorig_solver.data import FloatArray, TemperatureCurve
 
 UNIT_AXES = (
@@ -21,6 +24,8 @@ UNIT_AXES = (
 )
 REFERENCE_AXES = "the stage's axes during the calibration, which are those of its reference"
 SENSOR_AXES = "the orthogonalised axes of the sensor: x is its x axis, y is in its x-y plane"
+
+_BROKEN_PAIRS = re.compile(r"(\*(?=/)|/(?=\*)|\?(?=\?))")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -42,8 +47,12 @@ class ExportSource:
         """Return the source; `calibration` is None if the gain is not fully known.
 
         Raises:
-            InputError: the verdict of the calibration is refused.
+            InputError: the verdict of the calibration is refused, or a name or value of it is not
+                that of a calibration.
         """
+        name = f"of {source.board.id}"
+        check_document(source, name)
+        check_parameters(source, name)
         if source.trust.verdict == "refused":
             reasons = source.trust.reasons or ["read the report of the calibration for the reason"]
             raise InputError(
@@ -140,7 +149,7 @@ class ExportSource:
         settings = self._settings_text()
         lines += [f"valid for these settings of the board: {settings}"] if settings else []
         lines += [f"note: {reason}" for reason in calibration.trust.reasons]
-        return [printable_line(line) for line in lines]
+        return lines
 
     def omission_lines(self, carried: Sequence[str] = ()) -> list[str]:
         """Return lines that list the causes of the document that a format leaves out.
@@ -181,10 +190,26 @@ class ExportSource:
         return ", ".join(words.format(value) for value, words in parts if value is not None)
 
 
+def comment_lines(mark: str, lines: Iterable[str]) -> list[str]:
+    """Return lines of a comment, each with its mark; no text of a calibration ends the comment.
+
+    Every export writes its comments with this function.
+    """
+    return [f"{mark}{_indentation(line)}{printable_line(line)}".rstrip() for line in lines]
+
+
+def _indentation(line: str) -> str:
+    return " " * (len(line) - len(line.lstrip(" ")))
+
+
 def printable_line(text: str) -> str:
-    """Return a text that cannot end a comment or a line; names come from devices."""
+    """Return a text that cannot end a comment or a line, in no language of an export.
+
+    The result has neither a backslash nor `*/`, `/*` or a trigraph of C. Texts come from devices.
+    """
     plain = "".join(c if c.isprintable() and c.isascii() else "?" for c in " ".join(text.split()))
-    return plain.replace("*/", "* /").replace("/*", "/ *").replace("\\", "/")
+    # The backslash first: its replacement can complete the end of a comment.
+    return _BROKEN_PAIRS.sub(r"\1 ", plain.replace("\\", "/"))
 
 
 def quoted(text: str) -> str:

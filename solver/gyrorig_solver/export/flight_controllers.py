@@ -18,7 +18,7 @@ from typing import Self
 import numpy as np
 
 from gyrorig_solver.data import FloatArray
-from gyrorig_solver.export.export_source import ExportSource
+from gyrorig_solver.export.export_source import ExportSource, comment_lines
 
 _REAL32, _INT32 = 9, 6  # MAV_PARAM_TYPE of MAVLink
 _ARDUPILOT_REFERENCE_DEGC = 35.0
@@ -37,14 +37,14 @@ def px4_parameters(source: ExportSource, slot: int = 0, device_id: int | None = 
     Raises:
         InputError: the bias is not known.
     """
-    lines = [f"# {line}" for line in source.header_lines()]
+    lines = comment_lines("# ", source.header_lines())
     lines += [
         "#",
         "# rad/s, subtracted by PX4 from the rates of its driver (see `listener sensor_gyro`).",
         "# The file is right if that driver does not rotate the axes; else rotate the offsets.",
         "# PX4 has no gyro scale and no misalignment; those of this calibration are left out.",
-        *(f"# {line}" for line in source.omission_lines(_carried_causes(source))),
-        *(f"# {line}" for line in _curve_lines(source)),
+        *comment_lines("# ", source.omission_lines(_carried_causes(source))),
+        *comment_lines("# ", _curve_lines(source)),
     ]
     if device_id is None:
         lines.append(
@@ -96,15 +96,15 @@ def ardupilot_parameters(source: ExportSource, slot: int = 0) -> str:
         InputError: the bias is not known.
     """
     stem = "INS_GYROFFS" if slot == 0 else f"INS_GYR{slot + 1}OFFS"
-    lines = [f"# {line}" for line in source.header_lines()]
+    lines = comment_lines("# ", source.header_lines())
     lines += [
         "#",
         "# rad/s, subtracted by ArduPilot from the rates in its sensor frame. The file is right if",
         "# the driver does not rotate the axes; otherwise rotate the three offsets.",
         "# INS_GYR_CAL is 0 because ArduPilot otherwise measures new offsets at every start.",
         "# ArduPilot has no gyro scale and no misalignment; those are left out.",
-        *(f"# {line}" for line in source.omission_lines(_carried_causes(source))),
-        *(f"# {line}" for line in _curve_lines(source)),
+        *comment_lines("# ", source.omission_lines(_carried_causes(source))),
+        *comment_lines("# ", _curve_lines(source)),
         "INS_GYR_CAL,0",
     ]
     lines += [

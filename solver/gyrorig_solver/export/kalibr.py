@@ -22,8 +22,8 @@ import numpy as np
 
 from gyrorig_protocol.errors import InputError
 from gyrorig_solver.data import FloatArray
-from gyrorig_solver.export.export_source import ExportSource
-from gyrorig_solver.export.ros import yaml_list, yaml_number
+from gyrorig_solver.export.export_source import ExportSource, comment_lines
+from gyrorig_solver.export.ros import check_ros_name, yaml_list, yaml_number
 
 _TWO_SIDED = math.sqrt(0.5)  # root of a one-sided density to root of a two-sided density
 _MISSING_NOISE_REMEDY = "Kalibr requires it: take it from the accelerometer's data sheet"
@@ -34,7 +34,9 @@ def kalibr_imu(source: ExportSource, name: str | None = None) -> str:
 
     Raises:
         InputError: the noise, or the output rate, is not known.
+        UsageError: `name` is not the name of a topic.
     """
+    check_ros_name(name, "topic")
     density = source.worst_noise("angle_random_walk")
     rate_hz = source.document.board.config.odr_hz
     if density is None or rate_hz is None:
@@ -53,14 +55,14 @@ def kalibr_imu(source: ExportSource, name: str | None = None) -> str:
             remedy,
         )
     walk = source.worst_noise("rate_random_walk")
-    lines = [f"# {line}" for line in source.header_lines()]
+    lines = comment_lines("# ", source.header_lines())
     lines += [
         "#",
         "# Noise of the noisiest axis, continuous-time and two-sided, as Kalibr requires. The",
         "# standard deviation of a sample is the density times sqrt(update_rate). Data sheets give",
         "# the one-sided density, which is sqrt(2) times larger. These are measured values; some",
         "# users multiply them by 10 to 20 to allow for unmodelled effects.",
-        f"rostopic: {name or '/imu0'}",
+        f"rostopic: {'/imu0' if name is None else name}",
         f"update_rate: {yaml_number(rate_hz)}  # Hz",
         f"gyroscope_noise_density: {yaml_number(density * _TWO_SIDED)}  # rad/s/sqrt(Hz)",
     ]
@@ -104,7 +106,7 @@ def _intrinsics(source: ExportSource) -> list[str]:
         *_matrix("C_gyro_i", misalignment),
         *_matrix("A", source.correction.force),
         f"  bias: {yaml_list(source.bias_rad_s)}  # rad/s, in the sensor's axes",
-        *(f"# {line}" for line in source.omission_lines(("g_sensitivity",))),
+        *comment_lines("# ", source.omission_lines(("g_sensitivity",))),
     ]
 
 

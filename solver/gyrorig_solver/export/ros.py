@@ -5,11 +5,16 @@ gyro calibration; the names are those of sensor_msgs/msg/Imu where possible. Mat
 lists, rows first, because ROS parameters have no nested lists and no null.
 """
 
+import re
 from collections.abc import Iterable
 
 import numpy as np
 
-from gyrorig_solver.export.export_source import ExportSource, quoted
+from gyrorig_protocol.errors import UsageError
+from gyrorig_solver.export.export_source import ExportSource, comment_lines, quoted
+
+# https://design.ros2.org/articles/topic_and_service_names.html; `*` is a wildcard of nodes.
+_ROS_NAME = re.compile(r"[A-Za-z_/~*][A-Za-z0-9_/*]{0,255}")
 
 
 def ros_parameters(source: ExportSource, name: str | None = None) -> str:
@@ -17,10 +22,12 @@ def ros_parameters(source: ExportSource, name: str | None = None) -> str:
 
     Raises:
         InputError: a needed parameter is not known.
+        UsageError: `name` is not the name of a node.
     """
+    check_ros_name(name, "node")
     correction = source.correction
     config = source.document.board.config
-    lines = [f"# {line}" for line in source.header_lines()]
+    lines = comment_lines("# ", source.header_lines())
     lines += [
         "#",
         "# true = correction * (read - bias), all rad/s; correction rows first, columns in.",
@@ -28,7 +35,7 @@ def ros_parameters(source: ExportSource, name: str | None = None) -> str:
         "# read: counts * nominal_scale, in the sensor's own axes, or the output of its driver",
         "#   if the driver publishes rad/s at the data sheet's scale in the sensor's own axes.",
         "# time of the motion = timestamp of the sample - time_offset.",
-        *(f"# {line}" for line in source.omission_lines()),
+        *comment_lines("# ", source.omission_lines()),
         f"{quoted(name) if name else '/**'}:",
         "  ros__parameters:",
         "    gyro_calibration:",
@@ -63,6 +70,19 @@ def ros_parameters(source: ExportSource, name: str | None = None) -> str:
             "  # (rad/s)^2, rows first"
         )
     return "\n".join(lines) + "\n"
+
+
+def check_ros_name(name: str | None, kind: str) -> None:
+    """Check a name for a ROS file: letters, digits, underscores, slashes and wildcards.
+
+    Raises:
+        UsageError: it is not such a name.
+    """
+    if name is not None and not _ROS_NAME.fullmatch(name):
+        raise UsageError(
+            f"the name {name[:40]!r} is not the name of a ROS {kind}",
+            "choose another name with --name, with letters, digits, underscores and slashes",
+        )
 
 
 def yaml_list(values: Iterable[float]) -> str:
