@@ -148,7 +148,7 @@ def install_programs(target: Target, python: Path, wheels: Path | None) -> None:
     check_python(python)
     fresh, old = prefix.with_name(prefix.name + ".new"), prefix.with_name(prefix.name + ".old")
     shutil.rmtree(old, ignore_errors=True)
-    run(python, "-m", "venv", "--clear", fresh)
+    run(python, "-I", "-m", "venv", "--clear", fresh)
     fill(fresh, wheels)
     for script in (fresh / "bin").iterdir():  # they contain the path at which they were created
         if script.is_file() and not script.is_symlink():  # a package can leave a folder there
@@ -176,7 +176,7 @@ def fill(fresh: Path, wheels: Path | None) -> None:
             ignored = shutil.ignore_patterns("__pycache__", "*.mcap")
             shutil.copytree(CHECKOUT / name, source / name, ignore=ignored)
         run(
-            fresh / "bin" / "python", "-m", "pip", "install", "--disable-pip-version-check",
+            fresh / "bin" / "python", "-I", "-m", "pip", "install", "--disable-pip-version-check",
             "--no-cache-dir", *offline, "-c", CHECKOUT / "constraints.txt",
             f"{source}[solver,fleet]",
         )  # fmt: skip
@@ -193,7 +193,7 @@ def check_python(python: Path) -> None:
             f"{python} does not exist. Run apt install python3 python3-venv, or use --python"
         )
     completed = subprocess.run(
-        [python, "-c", "import sys, venv, ensurepip; print(sys.version_info >= (3, 11))"],
+        [python, "-I", "-c", "import sys, venv, ensurepip; print(sys.version_info >= (3, 11))"],
         capture_output=True, text=True, check=False,
     )  # fmt: skip
     if completed.returncode != 0:

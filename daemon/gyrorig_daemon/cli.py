@@ -13,6 +13,8 @@ import traceback
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
+from gyrorig_protocol.child_process import protect_children
+
 if TYPE_CHECKING:
     from gyrorig_daemon.commands.terminal import Terminal
 
@@ -24,6 +26,7 @@ _GROUP_FLAGS = ("--traceback", "-q", "--quiet", "-v", "--verbose")
 def main() -> None:
     """Run `gyrorigd` and exit with its status."""
     signal.signal(signal.SIGINT, signal.SIG_DFL)  # until a command handles it
+    protect_children()
     sys.exit(run(sys.argv[1:]))
 
 

@@ -15,6 +15,7 @@ from typing import NoReturn
 
 import click
 
+from gyrorig_protocol.child_process import protect_children
 from gyrorig_protocol.errors import GyrorigError, UsageError, sentence
 from gyrorig_protocol.suggestions import did_you_mean
 from gyrorig_solver.commands.terminal import Terminal, printable, version_text
@@ -163,6 +164,7 @@ def run(arguments: Sequence[str]) -> int:
 
 def main() -> NoReturn:
     """Run the command line of this process and exit with its status."""
+    protect_children()
     # Before numpy is imported: many small matrices are four times slower on several threads.
     for library in ("OPENBLAS", "OMP", "MKL"):
         os.environ.setdefault(f"{library}_NUM_THREADS", "1")

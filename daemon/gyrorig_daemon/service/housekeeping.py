@@ -9,7 +9,6 @@ No recording waits for any of this.
 import json
 import os
 import subprocess
-import sys
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -20,6 +19,7 @@ from gyrorig_daemon.recorder import Recorder
 from gyrorig_daemon.recorder.retention import RetentionRules, apply_retention
 from gyrorig_daemon.service.recording_policy import recorder_settings, retention_rules
 from gyrorig_daemon.service.state_folder import StateFolder
+from gyrorig_protocol.child_process import module_command
 from gyrorig_protocol.errors import GyrorigError
 
 RETENTION_PERIOD_S = 3_600.0
@@ -117,7 +117,7 @@ class Housekeeping:
         if not any(self._state.recordings.glob("*.mcap.part")):
             return
         reserve_bytes = recorder_settings(self._settings()).reserve_bytes
-        command = [sys.executable, "-m", "gyrorig_daemon", "recover", "--json"]
+        command = module_command("gyrorig_daemon", "recover", "--json")
         command += ["--reserve", str(reserve_bytes), str(self._state.recordings)]
         try:
             self._child = subprocess.Popen(command, stdout=subprocess.PIPE)  # noqa: S603 - own program

@@ -7,7 +7,6 @@ a separate process. The daemon talks to it exactly as to hardware.
 import contextlib
 import json
 import subprocess
-import sys
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -30,6 +29,7 @@ from gyrorig_daemon.emulator.twin import draw_twin, make_twin_rig
 from gyrorig_daemon.emulator.units import find_front_end
 from gyrorig_daemon.session.emulation_options import EmulationOptions
 from gyrorig_protocol.atomic_files import write_atomically
+from gyrorig_protocol.child_process import module_command
 from gyrorig_protocol.documents import dump_yaml
 from gyrorig_protocol.errors import MachineError, UsageError
 
@@ -229,7 +229,7 @@ class EmulatorProcess:
         Raises:
             MachineError: it did not start.
         """
-        command = [sys.executable, "-m", "gyrorig_daemon", "emulate", "--json", "--until-eof"]
+        command = module_command("gyrorig_daemon", "emulate", "--json", "--until-eof")
         command += ["--config", str(config_path), *emulation.arguments()]
         try:
             self._process = subprocess.Popen(  # noqa: S603 - ourselves

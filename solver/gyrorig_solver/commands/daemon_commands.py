@@ -9,6 +9,8 @@ from typing import NoReturn
 
 import click
 
+from gyrorig_protocol.child_process import module_command
+
 _PASS_ALL_ARGUMENTS = {
     "ignore_unknown_options": True,
     "allow_extra_args": True,
@@ -18,7 +20,7 @@ _PASS_ALL_ARGUMENTS = {
 
 def daemon_command(*arguments: str) -> list[str]:
     """Return the command line that runs `gyrorigd` with this interpreter."""
-    return [sys.executable, "-m", "gyrorig_daemon", *arguments]
+    return module_command("gyrorig_daemon", *arguments)
 
 
 def daemon_command_of(name: str) -> click.Command:

@@ -12,7 +12,6 @@ What to use when: `Simulator` for a rig file; `run_draws` for several draws at t
 import json
 import os
 import subprocess
-import sys
 import threading
 import zlib
 from collections.abc import Callable, Iterator, Mapping
@@ -24,6 +23,7 @@ from pathlib import Path
 
 import numpy as np
 
+from gyrorig_protocol.child_process import module_command
 from gyrorig_protocol.errors import GyrorigError, UsageError
 from gyrorig_protocol.recording.reader import read_recording
 from gyrorig_protocol.recording.recording import Recording
@@ -134,7 +134,7 @@ def _run_part(
     out = folder / name
     out.mkdir(parents=True, exist_ok=True)
     command = [
-        *(sys.executable, "-m", "gyrorig_daemon", "record", "--simulated-time", "--json"),
+        *module_command("gyrorig_daemon", "record", "--simulated-time", "--json"),
         *("--config", str(simulator.config), "--replay", str(measured.path)),
         *(("--draw", str(first_draw)) if simulator.is_twin else ()),
         *("--session-seed", str(draws[0] + FIRST_SEED + offset), "--session", name),

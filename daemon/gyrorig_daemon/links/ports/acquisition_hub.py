@@ -5,7 +5,6 @@ import json
 import os
 import select
 import subprocess
-import sys
 from collections import deque
 from dataclasses import asdict
 from pathlib import Path
@@ -20,6 +19,7 @@ from gyrorig_daemon.links.ports.port_hub import Chunk, PortChange, PortsGoneErro
 from gyrorig_daemon.links.ports.port_kinds import SERIAL, PortSettings
 from gyrorig_daemon.links.ports.raw_clock import raw_ns
 from gyrorig_daemon.links.ports.supervised_port import RETRY_NS
+from gyrorig_protocol.child_process import module_command
 from gyrorig_protocol.errors import DeviceError, GyrorigError, MachineError, UsageError
 
 __all__ = ["AcquisitionHub", "PortSettings"]
@@ -73,12 +73,7 @@ class AcquisitionHub:
         }
         try:
             self._child = subprocess.Popen(  # noqa: S603 - our own module, our own interpreter
-                [
-                    sys.executable,
-                    "-m",
-                    "gyrorig_daemon.links.ports.acquisition",
-                    json.dumps(arguments),
-                ],
+                module_command("gyrorig_daemon.links.ports.acquisition", json.dumps(arguments)),
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 bufsize=0,

@@ -14,6 +14,7 @@ from concurrent.futures import FIRST_COMPLETED, Executor, Future, ProcessPoolExe
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, field
 
+from gyrorig_protocol.child_process import protect_children
 from gyrorig_protocol.errors import MachineError
 from gyrorig_solver.fleet.jobs.resource_limits import limit_memory
 from gyrorig_solver.fleet.jobs.session_job import Job, JobResult, failure_row, run_job
@@ -83,6 +84,7 @@ def local_pools(workers: int, memory_bytes: int) -> list[WorkerPool]:
     The processes are forked from a server that has loaded the solver once, so a new one takes
     milliseconds instead of the second for the imports.
     """
+    protect_children()  # the server is started with `python -c`
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload(PRELOADED_MODULES)
 
