@@ -108,7 +108,7 @@ except UsageError as fault:
 
 
 @pytest.mark.parametrize(
-    ("path", "flags", "found"),
+    ("path", "flags", "is_found"),
     [
         (".", ["-P"], False),
         ("", [], False),
@@ -118,7 +118,7 @@ except UsageError as fault:
     ],
 )
 def test_extensions_need_a_path_that_names_them(
-    tmp_path: Path, path: str, flags: list[str], found: bool
+    tmp_path: Path, path: str, flags: list[str], is_found: bool
 ) -> None:
     folder = tmp_path / "gyrorig_extensions" / "board_protocols"
     folder.mkdir(parents=True)
@@ -132,9 +132,9 @@ def test_extensions_need_a_path_that_names_them(
         text=True,
         check=True,
     )
-    assert ("gyrorig_extensions.board_protocols.mini" in completed.stdout) == found
-    assert ("RUN" in completed.stdout) == found
-    assert ("whose code is not run" in completed.stdout) != found
+    assert ("gyrorig_extensions.board_protocols.mini" in completed.stdout) == is_found
+    assert ("RUN" in completed.stdout) == is_found
+    assert ("whose code is not run" in completed.stdout) != is_found
 
 
 def test_the_command_line_of_a_module() -> None:
