@@ -46,6 +46,13 @@ from gyrorig_protocol.recording.recording import MESSAGE_TYPES, TimedMessage, To
 
 _FOREIGN_FILE_REMEDY = "read the file with the program that wrote it, or record again"
 MAX_RECORD_BYTES = 160 << 20  # of unpacked chunks; half an hour of a board at 800 Hz
+# All chunks of a file together. Sensor data with noise are packed by 2 to 10 times.
+MAX_FILE_RATIO = 20
+MIN_UNPACKED_LIMIT_BYTES = 64 << 20
+# Messages with text are Python objects of about 450 bytes each.
+MIN_TEXT_MESSAGE_LIMIT = 100_000
+FILE_BYTES_PER_TEXT_MESSAGE = 30
+MAX_FOREIGN_TYPES = 64  # types of messages that recording format 1 does not define
 MAX_GROUP_BYTES = 1 << 19  # of unpacked chunks read together; they fit into the processor's cache
 
 
@@ -115,6 +122,8 @@ class TopicCollector:
     )
     _expected_counts: Counter[int] = field(default_factory=Counter)
     _unpacked_bytes: int = 0  # upper limit over all chunks
+    _text_messages: int = 0
+    _foreign_types: set[tuple[str, bytes]] = field(default_factory=set)
     _decompressor: ChunkDecompressor = field(default_factory=ChunkDecompressor)
 
     def read_all(self) -> None:
@@ -126,6 +135,12 @@ class TopicCollector:
         self._unpacked_bytes = sum(
             min(chunk.unpacked_size, MAX_UNPACKED_BYTES) for chunk in self.scan.chunks
         )
+        if self._unpacked_bytes > max(MIN_UNPACKED_LIMIT_BYTES, MAX_FILE_RATIO * len(self.file)):
+            raise InputError(
+                f"{self.path} has {len(self.file)} bytes and claims to unpack to "
+                f"{self._unpacked_bytes} bytes, which is more than {MAX_FILE_RATIO} times its size",
+                _FOREIGN_FILE_REMEDY,
+            )
         for chunk in self.scan.chunks:
             for channel, (_, count) in chunk.index.items():
                 self._expected_counts[channel] += count
@@ -219,6 +234,14 @@ class TopicCollector:
                 reason = "not of the size and header of its type"
                 self._count_invalid(number, len(invalid_offsets), chunk.offset, reason)
         elif isinstance(store, VariableSizeChannel):
+            self._text_messages += len(offsets)
+            limit = MIN_TEXT_MESSAGE_LIMIT + len(self.file) // FILE_BYTES_PER_TEXT_MESSAGE
+            if self._text_messages > limit:
+                raise InputError(
+                    f"{self.path} has more than {limit} commands and events, the limit for a file "
+                    "of its size",
+                    _FOREIGN_FILE_REMEDY,
+                )
             store.append(content, offsets)
 
     def _count_invalid(self, number: int, count: int, offset: int, reason: str) -> None:
@@ -247,7 +270,7 @@ class TopicCollector:
     def _open_typed_channel(
         self, number: int, channel: ChannelDeclaration, schema: SchemaDeclaration
     ) -> _ChannelStore:
-        if self.only_topic not in (None, channel.topic):
+        if self.only_topic not in (None, channel.topic) or self._has_too_many_types(schema):
             return _ChannelStore(channel.topic, schema.name, None)
         try:
             text = schema.data.decode()
@@ -285,6 +308,22 @@ class TopicCollector:
             )
             return _ChannelStore(channel.topic, schema.name, None)
         return _ChannelStore(channel.topic, schema.name, VariableSizeChannel())
+
+    def _has_too_many_types(self, schema: SchemaDeclaration) -> bool:
+        """Count a type that format 1 does not define; return whether there are too many."""
+        foreign_type = (schema.name, bytes(schema.data))
+        if schema.name in SCHEMAS or foreign_type in self._foreign_types:
+            return False
+        if len(self._foreign_types) < MAX_FOREIGN_TYPES:
+            self._foreign_types.add(foreign_type)
+            return False
+        text = (
+            f"the file has more than {MAX_FOREIGN_TYPES} other types of messages; the topics of "
+            "further types are not read"
+        )
+        if text not in self.scan.notes:
+            self.scan.notes.append(text)
+        return True
 
     def _build_topic(self, name: str, channel_stores: list[tuple[int, _ChannelStore]]) -> Topic:
         """Build one topic from its channels, usually one."""

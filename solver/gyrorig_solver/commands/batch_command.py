@@ -24,7 +24,7 @@ from gyrorig_solver.fleet.jobs.workers import WorkerPool
 from gyrorig_solver.fleet.store import read_signer
 from gyrorig_solver.model import plural
 from gyrorig_solver.pipeline import AUTO
-from gyrorig_solver.storage import Folder, Storage, StorageOption
+from gyrorig_solver.storage import Folder, Storage, StorageOption, cgroup_memory_bytes
 
 _REASONS_SHOWN = 10
 _EXISTING_FILE = click.Path(path_type=Path, dir_okay=False, exists=True)
@@ -146,7 +146,7 @@ def batch_command(
         solver_version=version_text(),
         extend=() if extend == "none" else (extend,),
         deadline_s=deadline,
-        memory_bytes=memory << 20,
+        memory_bytes=min(memory << 20, cgroup_memory_bytes() or memory << 20),
         uses_unit_store=knowledge.store is not None,
         unit_document=knowledge.document,
     )

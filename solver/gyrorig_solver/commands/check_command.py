@@ -19,6 +19,7 @@ from gyrorig_solver.commands.terminal import (
     board_option,
     json_option,
 )
+from gyrorig_solver.storage import limit_input, size_of_inputs
 
 
 @click.command("check")
@@ -44,9 +45,10 @@ def check_command(terminal: Terminal, recordings: tuple[Path, ...], board: str |
     for path in paths:
         try:
             terminal.print_progress(f"reading {path.name}")
-            recording = read_recording(path)
-            wanted = select_boards(recording, board) if board else recording.board_ids
-            examined.append(examine_recording(recording, wanted))
+            with limit_input(path.name, size_of_inputs([path])):
+                recording = read_recording(path)
+                wanted = select_boards(recording, board) if board else recording.board_ids
+                examined.append(examine_recording(recording, wanted))
         except GyrorigError as fault:
             faults.append(fault)
             failed.append({"recording": str(path), "error": str(fault)})

@@ -17,6 +17,7 @@ from gyrorig_solver.importers import (
     import_files,
     load_import_map,
 )
+from gyrorig_solver.storage import limit_input, size_of_inputs
 
 
 @click.command("import")
@@ -91,13 +92,15 @@ def import_command(
     for source in sources:
         terminal.print_progress(f"importing {source.name}")
     try:
-        result = import_files(
-            sources,
-            out,
-            ImportOptions(mapping, board, sensor, topics, stamp),
-            format_name=format_name,
-            unit_recording=unit_recording,
-        )
+        inputs = [*sources, *([unit_recording] if unit_recording else [])]
+        with limit_input(sources[0].name, size_of_inputs(inputs)):
+            result = import_files(
+                sources,
+                out,
+                ImportOptions(mapping, board, sensor, topics, stamp),
+                format_name=format_name,
+                unit_recording=unit_recording,
+            )
     except MissingMapError as error:
         terminal.print_result(error.sketch.rstrip())
         raise

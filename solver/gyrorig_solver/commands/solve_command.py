@@ -31,7 +31,7 @@ from gyrorig_solver.pipeline import (
     fit_together,
     solve_and_store,
 )
-from gyrorig_solver.storage import Folder
+from gyrorig_solver.storage import Folder, limit_input, limit_memory_by_size, size_of_inputs
 from gyrorig_solver.uncertainty import UncertaintySettings, read_settings
 
 
@@ -96,6 +96,24 @@ def solve_command(
     causes = _requested_causes(extend, method)
     settings = None if uncertainty is None else read_settings(uncertainty)
     knowledge = read_unit_knowledge(unit_prior, Folder(out))
+    name = recordings[0].name if len(recordings) == 1 else f"{len(recordings)} recordings"
+    with limit_memory_by_size(name, size_of_inputs(recordings)):
+        return _solve_recordings(
+            terminal, recordings, board, method, causes, out, settings, knowledge
+        )
+
+
+def _solve_recordings(
+    terminal: Terminal,
+    recordings: Sequence[Path],
+    board: str | None,
+    method: str,
+    causes: Sequence[str],
+    out: Path,
+    settings: UncertaintySettings | None,
+    knowledge: UnitKnowledge,
+) -> int:
+    """Read, solve and print, and return the exit status."""
     solved: list[StoredResult] = []
     failed: list[dict[str, str]] = []
     faults: list[GyrorigError] = []
@@ -103,8 +121,9 @@ def solve_command(
     for path in recordings:
         terminal.print_progress(f"reading {path.name}")
         try:
-            read_recordings.append(read_recording(path))
-            select_boards(read_recordings[-1], board)
+            with limit_input(path.name, size_of_inputs([path])):
+                read_recordings.append(read_recording(path))
+                select_boards(read_recordings[-1], board)
         except GyrorigError as fault:
             faults.append(fault)
             failed.append({"recording": str(path), "board": "", "error": str(fault)})

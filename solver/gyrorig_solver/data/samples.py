@@ -31,8 +31,10 @@ from gyrorig_solver.data.clocks.sample_numbering import number_samples
 from gyrorig_solver.data.clocks.shared_time_base import ClockExchanges
 from gyrorig_solver.data.clocks.tick_unwrapping import PIECE_SAMPLES
 from gyrorig_solver.data.count_columns import CountArray, CountColumn, PhysicalField, stored_column
+from gyrorig_solver.data.metadata_numbers import positive_number
 
 UNUSABLE_STATUS = int(ImuStatus.SATURATED | ImuStatus.REPEATED)
+_MIN_PERIOD_S, _MAX_PERIOD_S = 1e-6, 1e4  # of the samples of any gyroscope
 FULL_SCALE_CODE = 32767  # a 16-bit sensor at full scale, even if its status bit is not set
 
 
@@ -129,27 +131,6 @@ def mean_temperature_degc(samples: Sequence[GyroSamples]) -> float | None:
     return float(np.mean(np.concatenate(valid))) if any(t.size for t in valid) else None
 
 
-def positive_number(metadata: Mapping[str, str], key: str) -> float | None:
-    """Return a metadata entry as a positive finite number, None if it is missing.
-
-    Raises:
-        InputError: the entry is not a positive finite number.
-    """
-    text = metadata.get(key)
-    if text is None or text == "":
-        return None
-    try:
-        value = float(text)
-    except ValueError:
-        value = np.nan
-    if not np.isfinite(value) or value <= 0.0:
-        raise InputError(
-            f"the value {text[:40]!r} of {key} in the recording is not a positive number",
-            "correct this key in the rig file or in the import map, and record or import again",
-        )
-    return value
-
-
 def load_samples(recording: Recording, board: str) -> GyroSamples:
     """Return the samples of one board with their times on the capture clock.
 
@@ -209,7 +190,7 @@ def load_samples(recording: Recording, board: str) -> GyroSamples:
     accel = None
     if accel_scale and accel_valid > 0.5 * good.size:
         accel = CountColumn(_LazyField(recording, board, "accel", keep), accel_scale)
-    return GyroSamples(
+    samples = GyroSamples(
         board=board,
         metadata=metadata,
         origin_ns=origin_ns,
@@ -229,6 +210,13 @@ def load_samples(recording: Recording, board: str) -> GyroSamples:
         late=late,
         exchanges=exchanges,
     )
+    if not _MIN_PERIOD_S <= samples.period_s <= _MAX_PERIOD_S:
+        raise InputError(
+            f"the timestamps of board {board} in the recording {recording.path.name} do not give "
+            "a sample rate",
+            "check the clock and `tick_hz` of the board, and record again",
+        )
+    return samples
 
 
 def _seconds_in_place(time_ns: IntArray, origin_ns: int) -> FloatArray:

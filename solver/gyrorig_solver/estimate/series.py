@@ -23,6 +23,8 @@ MIN_FINE_GRID_HZ = 500.0  # minimum rate of the fine grid; also five times the b
 MAX_GAP_S = 2.0  # a longer gap starts a new series
 MAX_SHARP_STD_S = 5e-5  # with a larger common shift a finer series adds nothing
 MAX_SHARP_SAMPLES = 4_000_000  # above it the offset is accurate enough, and memory is limited
+MIN_GRID_SAMPLES = 1_000_000  # a grid of this length costs 40 MB
+MAX_GRID_RATIO = 4  # of the grid's length to the samples in it
 MIN_SERIES_BLOCKS = 64  # fewer give no useful spectrum
 PART_BLOCKS = 1 << 16  # approximate length of a part of a long series
 
@@ -158,6 +160,14 @@ def too_short_error(sampling: Sampling) -> InputError:
     )
 
 
+def _sparse_samples_error(length: int, count: int) -> InputError:
+    return InputError(
+        f"the recording has only {count} of {length} samples in a row, so their times are not "
+        "those of a gyroscope",
+        "check the timestamps and the sample counter of the board, and record again",
+    )
+
+
 def build_series(samples: GyroSamples, common_std_s: float = 0.0) -> tuple[list[Series], Sampling]:
     """Divide the samples into uniform series.
 
@@ -184,6 +194,8 @@ def build_series(samples: GyroSamples, common_std_s: float = 0.0) -> tuple[list[
         length = int(samples.number[end - 1] - samples.number[begin]) + 1
         if length < MIN_SERIES_BLOCKS * samples_per_block:
             continue
+        if length > max(MIN_GRID_SAMPLES, MAX_GRID_RATIO * int(end - begin)):
+            raise _sparse_samples_error(length, int(end - begin))
         time_s, raw, good = _fill_gaps(samples, inside, length)
         series.append(
             Series(

@@ -7,7 +7,8 @@ import numpy as np
 
 from gyrorig_protocol.errors import InputError
 from gyrorig_protocol.recording.recording import Recording
-from gyrorig_solver.data.samples import GyroSamples, positive_number
+from gyrorig_solver.data.metadata_numbers import positive_number
+from gyrorig_solver.data.samples import GyroSamples
 from gyrorig_solver.data.samples import mean_temperature_degc as mean_of
 from gyrorig_solver.model import STANDARD_GRAVITY_M_S2, BoardTemperature, RecordingContext, Site
 from gyrorig_solver.reference import PanTiltReference, ReferenceMotion

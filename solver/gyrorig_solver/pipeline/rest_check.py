@@ -16,7 +16,8 @@ from gyrorig_protocol.profile import SensorProfile
 from gyrorig_protocol.recording.recording import Recording
 from gyrorig_solver.calibration import find_profile
 from gyrorig_solver.data import BoolArray, FloatArray, IntArray
-from gyrorig_solver.data.samples import GyroSamples, positive_number
+from gyrorig_solver.data.metadata_numbers import positive_number
+from gyrorig_solver.data.samples import GyroSamples
 from gyrorig_solver.reference import TimeInterval
 
 MEAN_S, WINDOW_S = 0.1, 1.0  # of short means, and of the windows in which they are compared

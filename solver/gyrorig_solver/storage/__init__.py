@@ -7,6 +7,13 @@ implement it. `shipped_files.config_folders` finds the files that ship with the 
 
 from gyrorig_solver.storage.file_writing import write_file
 from gyrorig_solver.storage.folder import Folder
+from gyrorig_solver.storage.input_limits import (
+    cgroup_memory_bytes,
+    limit_input,
+    limit_memory_by_size,
+    memory_bound_bytes,
+    size_of_inputs,
+)
 from gyrorig_solver.storage.location import StorageOption, storage_at
 from gyrorig_solver.storage.shipped_files import config_folders
 from gyrorig_solver.storage.storage_protocol import Storage, StorageEntry
@@ -16,7 +23,12 @@ __all__ = [
     "Storage",
     "StorageEntry",
     "StorageOption",
+    "cgroup_memory_bytes",
     "config_folders",
+    "limit_input",
+    "limit_memory_by_size",
+    "memory_bound_bytes",
+    "size_of_inputs",
     "storage_at",
     "write_file",
 ]

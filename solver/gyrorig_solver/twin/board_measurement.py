@@ -11,7 +11,8 @@ from gyrorig_protocol.identity import BoardId
 from gyrorig_protocol.recording.recording import Recording
 from gyrorig_protocol.twin import Scalar, Source, TwinBoard, TwinClock, TwinTemperature, Vector
 from gyrorig_solver.data import FloatArray
-from gyrorig_solver.data.samples import GyroSamples, mean_temperature_degc, positive_number
+from gyrorig_solver.data.metadata_numbers import positive_number
+from gyrorig_solver.data.samples import GyroSamples, mean_temperature_degc
 from gyrorig_solver.estimate import (
     PRIOR_LOG_STD,
     PRIOR_STD,

@@ -20,7 +20,8 @@ from gyrorig_protocol.identity import BoardId
 from gyrorig_protocol.recording.recording import RecordArray, times_ns
 from gyrorig_protocol.twin import Scalar, TwinLink
 from gyrorig_solver.data import BoolArray, FloatArray
-from gyrorig_solver.data.samples import GyroSamples, positive_number
+from gyrorig_solver.data.metadata_numbers import positive_number
+from gyrorig_solver.data.samples import GyroSamples
 from gyrorig_solver.pipeline import BoardData
 from gyrorig_solver.twin.quantities import scalar
 from gyrorig_solver.twin.rig_mapping import BITS_PER_BYTE, board_line

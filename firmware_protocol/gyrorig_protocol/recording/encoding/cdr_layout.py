@@ -44,6 +44,7 @@ _SCHEMA_REMEDY = "correct the message schema in the program that wrote the file"
 _MAX_BYTES = 1 << 16
 _MAX_FIELDS = 4096
 _MAX_DEPTH = 16
+_LARGEST_ALIGNMENT = 8  # of a primitive, in bytes
 
 
 class _VariableSizeError(Exception):
@@ -153,9 +154,17 @@ def _lay_out_field(
             f"{field.type}",
             _SCHEMA_REMEDY,
         )
-    elements = []
+    elements: list[tuple[np.dtype[np.void], int]] = []
+    by_alignment: dict[int, np.dtype[np.void]] = {}
     for _ in range(field.length or 1):
+        # The padding inside a struct depends on its offset modulo 8 alone.
+        known = by_alignment.get(offset % _LARGEST_ALIGNMENT)
+        if known is not None and offset + known.itemsize <= _MAX_BYTES:
+            elements.append((known, offset))
+            offset += known.itemsize
+            continue
         dtype, end = _lay_out_struct(definitions, field.type, offset, layout.depth + 1)
+        by_alignment[offset % _LARGEST_ALIGNMENT] = dtype
         elements.append((dtype, offset))
         offset = end
         if offset > _MAX_BYTES:

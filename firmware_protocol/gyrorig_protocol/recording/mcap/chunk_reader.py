@@ -69,7 +69,7 @@ class ChunkDecompressor:
             raise ChunkError(LossCause.REFUSED, reason)
         try:
             content = self._decompress_bytes(chunk.compression, compressed, size)
-        except (zstandard.ZstdError, RuntimeError, MemoryError) as error:
+        except (zstandard.ZstdError, RuntimeError) as error:
             raise ChunkError(LossCause.DAMAGED, f"it cannot be unpacked ({error})") from error
         if len(content) != size:
             raise ChunkError(

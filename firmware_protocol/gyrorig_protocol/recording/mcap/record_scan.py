@@ -29,6 +29,9 @@ from gyrorig_protocol.recording.mcap.record_cursor import MalformedError, Record
 FRAME_BYTES = 9  # opcode and length
 _FRAME_LAYOUT = struct.Struct("<BQ")
 _MAX_COPY_BYTES = 1 << 20  # a search reads each candidate, therefore a limit
+# Candidates can overlap. All searches together read this many bytes of candidates, and no more
+# than the file has.
+_MIN_SEARCHED_BYTES = 8 << 20
 # A chunk: opcode, length, three times u64 and the CRC, then one of the three compressions.
 # A copy (see `backup_copies`): opcode, length, two times u64, a name that begins with gyrorig.
 _LANDMARK_PATTERN = re.compile(
@@ -100,6 +103,7 @@ class FileScan:
     current_chunk: ChunkRecord | None = None  # the chunk of the next message index
     unchunked_messages: int = 0
     next_landmark: int = 0  # offset of the next landmark, if already searched
+    searched_bytes: int = 0  # of copies that a search for landmarks has read
 
 
 def scan_records(data: memoryview, summary: McapSummary) -> FileScan:
@@ -226,7 +230,7 @@ def _skip_damage(
     """Return where to continue after an invalid record; report the loss."""
     scan.current_chunk = None
     if scan.next_landmark <= offset:
-        scan.next_landmark = _find_landmark(data, offset + 1, limit)
+        scan.next_landmark = _find_landmark(scan, data, offset + 1, limit)
     is_length_plausible = end <= scan.next_landmark and _looks_like_record(data, end, limit)
     target = end if is_length_plausible else scan.next_landmark
     if target == limit and not is_length_plausible:
@@ -251,16 +255,26 @@ def _looks_like_record(data: memoryview, offset: int, limit: int) -> bool:
     return opcode in _OPCODES and offset + FRAME_BYTES + length <= limit
 
 
-def _find_landmark(data: memoryview, start: int, limit: int) -> int:
-    """Return the offset of the next chunk or copy at or after `start`, else `limit`."""
+def _find_landmark(scan: FileScan, data: memoryview, start: int, limit: int) -> int:
+    """Return the offset of the next chunk or copy at or after `start`, else `limit`.
+
+    The checksum of each possible copy is computed. If these bytes together exceed a limit, only
+    chunks are landmarks, so that the time is proportional to the size of the file.
+    """
+    max_searched_bytes = max(_MIN_SEARCHED_BYTES, len(data))
     offset = start - 1
     while match := _LANDMARK_PATTERN.search(data, offset + 1, limit):
         offset = match.start()
         end = (
             offset + FRAME_BYTES + int.from_bytes(data[offset + 1 : offset + FRAME_BYTES], "little")
         )
-        is_large_copy = data[offset] == Opcode.ATTACHMENT and end - offset > _MAX_COPY_BYTES
-        if end <= limit and not is_large_copy:
+        if data[offset] == Opcode.ATTACHMENT:
+            size = end - offset
+            if size > _MAX_COPY_BYTES or scan.searched_bytes + size > max_searched_bytes:
+                continue
+            if end <= limit:
+                scan.searched_bytes += size
+        if end <= limit:
             try:
                 _read_record(FileScan(), data, data[offset], offset, end)
             except MalformedError:

@@ -164,10 +164,9 @@ def _find_floor_drops(device_s: FloatArray, segment: IntArray, host_s: FloatArra
     drops: list[int] = []
     edges = np.searchsorted(segment, np.arange(int(segment[-1]) + 2))
     for a, b in pairwise(edges.tolist()):
-        rows = a + np.searchsorted(
-            host_s[a:b], np.arange(host_s[a], host_s[b - 1] + _WINDOW_S, _WINDOW_S)
-        )
-        rows = np.unique(rows[rows < b])
+        # Only windows with samples: a far timestamp makes the others countless.
+        window = np.floor((host_s[a:b] - host_s[a]) / _WINDOW_S)
+        rows = a + np.concatenate([[0], np.flatnonzero(np.diff(window) > 0.0) + 1])
         if rows.size <= _FLOOR_WINDOWS:
             continue
         lag_s = np.concatenate(

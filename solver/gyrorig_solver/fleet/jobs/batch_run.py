@@ -237,7 +237,10 @@ def _claimed_jobs(
             summary.to_do -= 1
             continue
         paths = tuple(recording.path for recording in session.recordings)
-        yield Job(key, batch, store, spool, paths, session.digests, settings, session.rejection)
+        size = sum(recording.size for recording in session.recordings)
+        yield Job(
+            key, batch, store, spool, paths, session.digests, settings, session.rejection, size
+        )
 
 
 def _run_jobs(

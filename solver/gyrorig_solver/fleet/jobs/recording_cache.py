@@ -11,7 +11,7 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path, PurePosixPath
 from typing import Self
 
-from gyrorig_solver.fleet.jobs.spool_scanner import SpooledRecording, SpoolListing
+from gyrorig_solver.fleet.jobs.spool_scanner import UNREAD_PREFIX, SpooledRecording, SpoolListing
 from gyrorig_solver.storage import StorageEntry
 
 _CREATE_TABLE_SQL = """CREATE TABLE IF NOT EXISTS spooled (
@@ -56,7 +56,8 @@ class RecordingCache:
     def remember(self, recordings: Iterable[SpooledRecording]) -> Iterator[SpooledRecording]:
         """Yield recordings, and add them to the cache."""
         for recording in recordings:
-            if recording.session:
+            # Also a file without a readable head: it is rejected once, and not read every night.
+            if not recording.read_error and not recording.sha256.startswith(UNREAD_PREFIX):
                 entry = (
                     recording.size,
                     recording.change_tag,

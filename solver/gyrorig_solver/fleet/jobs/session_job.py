@@ -8,6 +8,7 @@ deferred, not done.
 import time
 import traceback
 from collections.abc import Iterator, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import lru_cache, partial
@@ -44,7 +45,13 @@ from gyrorig_solver.pipeline import (
     solve_and_store,
 )
 from gyrorig_solver.pipeline.solve_board import likelihood_settings
-from gyrorig_solver.storage import Storage
+from gyrorig_solver.storage import (
+    Storage,
+    limit_input,
+    limit_memory_by_size,
+    memory_bound_bytes,
+    size_of_inputs,
+)
 
 VERSIONS_CHECKED = 3  # latest versions that are checked for this job's result
 
@@ -78,6 +85,7 @@ class Job:
     digests: tuple[str, ...]
     settings: SolveSettings
     rejection: str = ""  # why it must not be solved
+    input_bytes: int = 0  # of all recordings
 
     @property
     def unit_knowledge(self) -> UnitKnowledge:
@@ -102,7 +110,7 @@ def run_job(job: Job) -> JobResult:
     """
     started_s = time.process_time()
     try:
-        with deadline(job.settings.deadline_s):
+        with deadline(job.settings.deadline_s), _memory_limit_of(job):
             rows = tuple(_solve_boards(job))
     except MachineError:
         raise
@@ -127,6 +135,13 @@ def run_job(job: Job) -> JobResult:
     return JobResult(
         job.key, tuple(msgspec.structs.replace(row, seconds=cpu_time_s) for row in rows)
     )
+
+
+def _memory_limit_of(job: Job) -> AbstractContextManager[None]:
+    """Return the limit by the size of the recordings, if it is below that of the settings."""
+    if not job.input_bytes or memory_bound_bytes(job.input_bytes) >= job.settings.memory_bytes:
+        return nullcontext()
+    return limit_memory_by_size(job.paths[0].name, job.input_bytes)
 
 
 def run_job_memory_limited(job: Job) -> JobResult:
@@ -173,7 +188,10 @@ def _solve_boards(job: Job) -> Iterator[IndexRow]:
     recordings = []
     for path in job.paths:
         # A recording is memory-mapped: its file can be removed after it is read.
-        with job.spool.local_copy(str(path)) as local_path:
+        with (
+            job.spool.local_copy(str(path)) as local_path,
+            limit_input(path.name, size_of_inputs([local_path])),
+        ):
             recordings.append(read_recording(local_path))
     for recording in recordings:
         if recording.sha256 not in job.digests:

@@ -8,7 +8,8 @@ from gyrorig_protocol.errors import UsageError
 from gyrorig_protocol.identity import BoardId
 from gyrorig_protocol.recording.messages import REFERENCE_ATTITUDE_TOPIC
 from gyrorig_protocol.recording.recording import Recording, times_ns
-from gyrorig_solver.data.samples import GyroSamples, positive_number
+from gyrorig_solver.data.metadata_numbers import positive_number
+from gyrorig_solver.data.samples import GyroSamples
 from gyrorig_solver.discover import criticise_fit
 from gyrorig_solver.discover.attitude.attitude_space import AttitudeRecording, fit_attitude_space
 from gyrorig_solver.discover.attitude.explain_attitudes import explain_attitudes, extend_attitudes

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 
 from gyrorig_protocol.errors import UsageError
-from gyrorig_solver.data.samples import positive_number
+from gyrorig_solver.data.metadata_numbers import positive_number
 from gyrorig_solver.estimate import FittedTerm, GyroFit, fit_gravity
 from gyrorig_solver.model import STANDARD_GRAVITY_M_S2
 from gyrorig_solver.pipeline.board_data import BoardData

@@ -13,6 +13,7 @@ from gyrorig_protocol.errors import InputError
 from gyrorig_protocol.recording.messages import PtuStatus
 from gyrorig_protocol.recording.recording import Recording, times_ns
 from gyrorig_solver.data import BoolArray, FloatArray, IntArray
+from gyrorig_solver.data.metadata_numbers import decimal_number
 from gyrorig_solver.reference.unit.axis_trajectory import build_trajectories
 from gyrorig_solver.reference.unit.controller_counter import counter_instants
 from gyrorig_solver.reference.unit.counted_reference import CountedReference, counted_reference
@@ -23,6 +24,7 @@ from gyrorig_solver.reference.unit.poll_likelihood import POLLS_PER_PIECE, group
 from gyrorig_solver.reference.unit.recorded_orders import read_orders
 from gyrorig_solver.reference.unit.unit_moves import AXES, MotionReader, UnitMotion
 
+_MAX_SETTING = 1e12
 UNUSABLE_STATUS = (
     PtuStatus.SYNCHRONY_LOST | PtuStatus.HOMING
 )  # with these bits the position is not an angle
@@ -221,14 +223,11 @@ def _finite_number(metadata: Mapping[str, str], key: str) -> float | None:
     text = metadata.get(key, "")
     if not text:
         return None
-    try:
-        value = float(text)
-    except ValueError:
-        value = np.nan
-    if not np.isfinite(value):
+    value = decimal_number(text)
+    if value is None or abs(value) > _MAX_SETTING:
         raise InputError(
-            f"the value {text[:40]!r} of the unit's setting {key} in the recording is not a finite "
-            "number",
+            f"the value {text[:40]!r} of the unit's setting {key} in the recording is not a number "
+            f"of at most {_MAX_SETTING:g}",
             "copy the recording again from the rig, or record again",
         )
     return value

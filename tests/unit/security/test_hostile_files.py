@@ -1,0 +1,205 @@
+"""A hostile file costs its own work only: it is read or refused, within bounds by its size."""
+
+import struct
+import time
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path, PurePosixPath
+from typing import Any
+
+import pytest
+from tests.support.hostile_files import (
+    IMPORT_FAMILIES,
+    IMPORT_MAP,
+    MAGIC,
+    RECORDING_FAMILIES,
+    far_stamp,
+    many_events,
+    nested_landmarks,
+    sparse_samples,
+)
+from tests.unit.fleet.test_batch import make_job
+
+from gyrorig_protocol.errors import InputError
+from gyrorig_protocol.identity import BoardId
+from gyrorig_protocol.recording import topic_collector
+from gyrorig_protocol.recording.encoding.cdr_layout import derive_fixed_layout
+from gyrorig_protocol.recording.mcap import record_scan
+from gyrorig_protocol.recording.mcap.mcap_summary import read_summary
+from gyrorig_protocol.recording.reader import read_recording
+from gyrorig_solver import cli
+from gyrorig_solver.data.samples import load_samples
+from gyrorig_solver.estimate.series import build_series
+from gyrorig_solver.fleet.jobs import run_batch, session_job, spool_scanner
+from gyrorig_solver.fleet.jobs.session_job import Job, SolveSettings, run_job
+from gyrorig_solver.fleet.jobs.spool_scanner import SpooledRecording
+from gyrorig_solver.fleet.jobs.workers import WorkerPool
+from gyrorig_solver.fleet.store import IndexRow
+from gyrorig_solver.storage import Folder, input_limits, limit_input, limit_memory_by_size
+
+SIZE = 30_000
+DONE_OR_REFUSED = (0, 3, 4)
+
+
+@pytest.mark.parametrize("family", RECORDING_FAMILIES)
+@pytest.mark.parametrize("command", ["check", "solve"])
+def test_hostile_recordings_are_read_or_refused(
+    family: str, command: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = RECORDING_FAMILIES[family](tmp_path / "x.mcap", SIZE)
+    more = [] if command == "check" else ["--extend", "none", "--out", str(tmp_path / "out")]
+    assert cli.run([command, str(file), *more]) in DONE_OR_REFUSED
+    assert "Warning" not in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("family", IMPORT_FAMILIES)
+def test_hostile_tables_are_read_or_refused(family: str, tmp_path: Path) -> None:
+    make, suffix = IMPORT_FAMILIES[family]
+    file = make(tmp_path / f"x{suffix}", SIZE)
+    (tmp_path / "map.yaml").write_text(IMPORT_MAP)
+    words = [] if suffix == ".json" else ["--map", str(tmp_path / "map.yaml")]
+    kind = [] if suffix == ".json" else [suffix[1:]]
+    out = ["-o", str(tmp_path / "out.mcap")]
+    assert cli.run(["import", *kind, str(file), *words, *out]) in DONE_OR_REFUSED
+
+
+def test_a_far_stamp_takes_no_memory(tmp_path: Path) -> None:
+    recording = read_recording(far_stamp(tmp_path / "x.mcap", SIZE))
+    with limit_memory_by_size("x.mcap", SIZE):
+        samples = load_samples(recording, BoardId("B-1"))
+    assert samples.number.size > 100
+
+
+def test_sparse_samples_make_no_long_grid(tmp_path: Path) -> None:
+    recording = read_recording(sparse_samples(tmp_path / "x.mcap", 20 * SIZE))
+    try:
+        samples = load_samples(recording, BoardId("B-1"))
+        series, _ = build_series(samples)
+    except InputError:
+        return
+    assert sum(part.time_s.size for part in series) <= max(1_000_000, 4 * samples.number.size)
+
+
+def test_a_search_for_landmarks_reads_a_file_twice_at_most(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    data = memoryview(nested_landmarks(tmp_path / "x.mcap", 4_000_000).read_bytes())
+    monkeypatch.setattr(record_scan, "_MIN_SEARCHED_BYTES", 1 << 20)
+    started_s = time.process_time()
+    scan = record_scan.scan_records(data, read_summary(data))
+    assert scan.searched_bytes <= len(data)
+    assert time.process_time() - started_s < 3.0  # 30 s without the limit
+
+
+def test_chunks_together_unpack_to_20_times_the_file_at_most(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file = RECORDING_FAMILIES["chunk_bomb"](tmp_path / "x.mcap", 200_000)
+    monkeypatch.setattr(topic_collector, "MIN_UNPACKED_LIMIT_BYTES", 1 << 20)
+    with pytest.raises(InputError, match="more than 20 times its size"):
+        read_recording(file)
+
+
+def test_events_are_limited_by_the_size_of_the_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file = many_events(tmp_path / "x.mcap", 100_000)
+    read_recording(file)
+    monkeypatch.setattr(topic_collector, "MIN_TEXT_MESSAGE_LIMIT", 100)
+    with pytest.raises(InputError, match="commands and events"):
+        read_recording(file)
+
+
+def test_nested_arrays_are_laid_out_once() -> None:
+    struct_text = "=" * 80 + "\nMSG: a/{name}\n{fields}\n"
+    text = "B[160] x\n" + "".join(
+        struct_text.format(name=name, fields=fields)
+        for name, fields in (("B", "C[100] y"), ("C", "D[2] z"), ("D", "uint8 a\nuint8 b"))
+    )
+    started_s = time.process_time()
+    for number in range(20):
+        layout = derive_fixed_layout(f"a/T{number}", text)
+        assert layout is not None
+        assert layout.dtype.itemsize == 160 * 100 * 2 * 2
+    assert time.process_time() - started_s < 0.5
+
+
+def test_padding_follows_from_the_place_of_each_element() -> None:
+    text = "B[3] x\nuint8 e\n" + "=" * 80 + "\nMSG: a/B\nuint8 a\nfloat64 b\nuint8 c\n"
+    layout = derive_fixed_layout("a/T", text)
+    assert layout is not None
+    fields: dict[str, Any] = dict(layout.dtype.fields or {})
+    # a at 0, b at 8, c at 16; the next a at 17, b at 24, c at 32; then 33, 40, 48
+    assert [fields[f"x[{k}]"][1] for k in range(3)] == [0, 17, 33]
+    assert layout.dtype.itemsize == 50
+
+
+def _use_memory() -> None:
+    blocks = [bytearray(50_000_000) for _ in range(40)]
+    for block in blocks:
+        block[::4096] = b"x" * len(block[::4096])
+
+
+def _use_time() -> None:
+    while True:
+        pass
+
+
+def test_a_file_that_needs_too_much_memory_is_refused() -> None:
+    refusal = pytest.raises(InputError, match="needs more than 402 MB of memory")
+    with refusal, limit_input("x", 10**5):
+        _use_memory()
+    bytearray(500_000_000)  # the limit ends with the block
+
+
+def test_a_person_can_allow_more(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("GYRORIG_MEMORY_MB", "900")
+    with limit_input("x", 1):
+        assert bytearray(600_000_000)
+
+
+def test_a_file_that_needs_too_much_time_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(input_limits, "BASE_TIME_S", 0.2)
+    refusal = pytest.raises(InputError, match="of processor time")
+    with refusal, limit_input("x.csv", 1):
+        _use_time()
+
+
+def test_a_job_that_exceeds_the_memory_of_its_file_is_rejected(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def greedy(_job: Job) -> Iterator[IndexRow]:
+        raise MemoryError
+
+    monkeypatch.setattr(session_job, "_solve_boards", greedy)
+    job = make_job("k", tmp_path)
+    settings = SolveSettings(solver_version="0.1.0")
+    names = (PurePosixPath("x.mcap"),)
+    job = Job(job.key, job.batch, job.store, job.spool, names, ("00",), settings, "", 1000)
+    (row,) = run_job(job).rows
+    assert row.status == "rejected"
+    assert "more than 400 MB of memory" in row.reason
+
+
+def test_a_file_without_a_head_is_read_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    spool = tmp_path / "spool"
+    spool.mkdir()
+    (spool / "x.mcap").write_bytes(MAGIC + struct.pack("<BQ", 1, 10**9) + bytes(5000))
+    settings = SolveSettings(solver_version="0.1.0", extend=())
+    read: list[str] = []
+    original = spool_scanner.read_spooled
+
+    def counted(storage: Folder, entry: object) -> SpooledRecording:
+        read.append("x")
+        return original(storage, entry)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(spool_scanner, "read_spooled", counted)
+    ends = []
+    for _ in range(2):
+        pools = [WorkerPool(lambda: ThreadPoolExecutor(1))]
+        summary = run_batch(spool, tmp_path / "store", settings, pools)
+        ends.append((dict(summary.sessions_by_status), summary.done_before))
+    assert ends == [({"rejected": 1}, 0), ({}, 1)]
+    assert read == ["x"]
