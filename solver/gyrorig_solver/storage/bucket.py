@@ -87,6 +87,18 @@ class Bucket:
                         with contextlib.suppress(FileNotFoundError):
                             file_system.rm(path)
 
+    def exists(self) -> bool:
+        """Return whether the bucket exists; a prefix in it exists as soon as it has an object.
+
+        Raises:
+            MachineError: the bucket does not answer, or refuses.
+        """
+        with self._report_errors(f"find {self.location}"):
+            try:
+                return bool(_file_system(self.protocol).exists(self.prefix.partition("/")[0]))
+            except FileNotFoundError:
+                return False
+
     def list_files(self, folder: str = "") -> Iterator[StorageEntry]:
         """See `Storage`."""
         start = f"{self.prefix}/{folder}".rstrip("/")

@@ -17,7 +17,7 @@ from gyrorig_solver.fleet.jobs.spool_scanner import (
     read_recordings,
     scan_spool,
 )
-from gyrorig_solver.storage import Folder
+from gyrorig_solver.storage import Folder, storage_at
 
 
 def write(path: Path, session: str = "s", part: int = 0, events: int = 1, anchor: int = 1) -> Path:
@@ -136,3 +136,38 @@ def test_a_lost_or_invalid_cache_is_not_an_error(tmp_path: Path) -> None:
     with RecordingCache(cache_file, "here") as cache:
         assert cache.split_known(listing) == ([], list(listing.recordings))
         assert list(cache.remember([known])) == [known]
+
+
+def rejections(folder: Path) -> dict[str, str]:
+    sessions = group_into_sessions(read(folder), Folder(folder))
+    return {session.recordings[0].path.as_posix(): session.rejection for session in sessions}
+
+
+def test_a_copy_is_the_beginning_of_the_whole(tmp_path: Path) -> None:
+    whole = write(tmp_path / "b.mcap", events=3)
+    (tmp_path / "a.mcap").write_bytes(whole.read_bytes()[:-100])
+    assert rejections(tmp_path) == {"a.mcap": "a.mcap is a shorter copy of b.mcap", "b.mcap": ""}
+
+
+def test_a_larger_forgery_in_the_same_folder_does_not_displace(tmp_path: Path) -> None:
+    write(tmp_path / "a.mcap", events=2)
+    write(tmp_path / "b.mcap", events=9)  # says that it is the same session
+    for reason in rejections(tmp_path).values():
+        assert reason == (
+            "a.mcap and b.mcap differ, but both claim to be the same part of one session"
+        )
+    assert len(rejections(tmp_path)) == 2
+
+
+def test_a_forgery_in_another_folder_changes_nothing(tmp_path: Path) -> None:
+    for lab in ("lab1", "lab2"):
+        (tmp_path / lab).mkdir()
+    write(tmp_path / "lab1" / "a.mcap", events=2)
+    write(tmp_path / "lab1" / "a_p001.mcap", "s", 1)
+    write(tmp_path / "lab2" / "a.mcap", events=9)
+    assert rejections(tmp_path) == {"lab1/a.mcap": "", "lab2/a.mcap": ""}
+
+
+def test_a_missing_bucket_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match="does not exist"):
+        scan_spool(storage_at(f"memory://{tmp_path.name}-nosuch/recordings"))

@@ -175,7 +175,7 @@ def test_a_job_that_exceeds_the_memory_of_its_file_is_rejected(
     job = make_job("k", tmp_path)
     settings = SolveSettings(solver_version="0.1.0")
     names = (PurePosixPath("x.mcap"),)
-    job = Job(job.key, job.batch, job.store, job.spool, names, ("00",), settings, "", 1000)
+    job = Job(job.key, job.batch, job.store, job.spool, names, ("00",), settings, input_bytes=1000)
     (row,) = run_job(job).rows
     assert row.status == "rejected"
     assert "more than 400 MB of memory" in row.reason

@@ -195,7 +195,7 @@ def _new_work(
     with RecordingCache(cache_dir / RECORDING_CACHE_FILE, listing.storage.location) as cache:
         known, unread = cache.split_known(listing)
         all_sessions = group_into_sessions(
-            [*known, *cache.remember(read_recordings(listing.storage, unread))]
+            [*known, *cache.remember(read_recordings(listing.storage, unread))], listing.storage
         )
     finished_keys = index.finished_keys(retry)
     work: list[tuple[str, RecordedSession]] = []
@@ -239,7 +239,10 @@ def _claimed_jobs(
         paths = tuple(recording.path for recording in session.recordings)
         size = sum(recording.size for recording in session.recordings)
         yield Job(
-            key, batch, store, spool, paths, session.digests, settings, session.rejection, size
+            *(key, batch, store, spool, paths, session.digests, settings),
+            rejection=session.rejection,
+            remedy=session.remedy,
+            input_bytes=size,
         )
 
 

@@ -85,6 +85,7 @@ class Job:
     digests: tuple[str, ...]
     settings: SolveSettings
     rejection: str = ""  # why it must not be solved
+    remedy: str = ""  # of the rejection
     input_bytes: int = 0  # of all recordings
 
     @property
@@ -184,7 +185,7 @@ def failure_row(
 
 def _solve_boards(job: Job) -> Iterator[IndexRow]:
     if job.rejection:
-        raise InputError(job.rejection, "remove the shorter copy from the spool")
+        raise InputError(job.rejection, job.remedy)
     recordings = []
     for path in job.paths:
         # A recording is memory-mapped: its file can be removed after it is read.

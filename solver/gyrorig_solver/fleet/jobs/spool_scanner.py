@@ -20,10 +20,13 @@ from pathlib import Path, PurePosixPath
 from gyrorig_protocol.errors import GyrorigError, MachineError, UsageError
 from gyrorig_protocol.recording.reader import read_recording_metadata
 from gyrorig_solver.storage import Folder, Storage, StorageEntry, storage_at
+from gyrorig_solver.storage.bucket import Bucket
 
 UNREAD_PREFIX = "unread:"  # in place of a digest
 SET_ASIDE_FOLDER = "unclean"  # the daemon's originals of recovered recordings
+_BLOCK_BYTES = 1 << 20
 READER_THREADS = 4  # hashlib releases Python's lock
+_CONFLICT_REMEDY = "remove the wrong one, and run the batch with --retry rejected"
 _PART_SUFFIX = re.compile(r"(_p\d{3,})?\.mcap(\.part)?$")  # names of the daemon's recorder
 ABANDONED_AFTER_S = 86_400.0  # a part lasts one hour at most, so its writer is gone
 
@@ -47,6 +50,7 @@ class RecordedSession:
 
     recordings: tuple[SpooledRecording, ...]
     rejection: str = ""  # why they must not be solved
+    remedy: str = ""  # of the rejection
 
     @property
     def read_error(self) -> str:
@@ -76,7 +80,7 @@ def scan_spool(spool: Path | Storage) -> SpoolListing:
     """Return the recordings of a spool, sorted by name.
 
     Raises:
-        UsageError: the folder does not exist.
+        UsageError: the folder or the bucket does not exist.
         MachineError: the bucket does not answer.
     """
     storage = storage_at(spool)
@@ -102,6 +106,12 @@ def scan_spool(spool: Path | Storage) -> SpoolListing:
                 unfinished_stems.add(_session_stem(entry.name))
         elif entry.name.endswith(".mcap"):
             recordings.append(entry)
+    is_empty = not (recordings or unfinished)
+    if is_empty and isinstance(storage, Bucket) and not storage.exists():
+        raise UsageError(
+            f"the bucket of the spool {storage.location} does not exist",
+            "choose a bucket with recordings with --spool",
+        )
     complete = [entry for entry in recordings if _session_stem(entry.name) not in unfinished_stems]
     complete.sort(key=lambda entry: PurePosixPath(entry.name))
     return SpoolListing(
@@ -114,35 +124,77 @@ def _session_stem(name: str) -> str:
     return _PART_SUFFIX.sub("", name)
 
 
-def group_into_sessions(recordings: Iterable[SpooledRecording]) -> list[RecordedSession]:
+def group_into_sessions(
+    recordings: Iterable[SpooledRecording], storage: Storage | None = None
+) -> list[RecordedSession]:
     """Return the sessions of these recordings, each with its parts in the order of names.
 
-    Two recordings with the same bytes count once. One whose head cannot be read is a
-    separate session, so that it is rejected with its reason.
+    The parts of a session are in one folder: what another folder contains, which can be of another
+    person, changes nothing. Two recordings with the same bytes count once. One whose head cannot be
+    read is a separate session, so that it is rejected with its reason. If two recordings in one
+    folder claim to be the same part, the shorter one is a copy if the other one begins with its
+    bytes. Otherwise nobody knows which one is right, and the session is rejected.
+
+    Args:
+        recordings: of one spool.
+        storage: the spool, to compare such recordings; None: they are copies.
     """
     parts_by_session: dict[str, dict[str, SpooledRecording]] = {}
+    conflicts: dict[str, str] = {}
     single_sessions: list[RecordedSession] = []
     seen_digests: set[str] = set()
     for recording in sorted(recordings, key=lambda recording: (-recording.size, recording.path)):
         if recording.sha256 in seen_digests:
             continue
         seen_digests.add(recording.sha256)
-        parts = parts_by_session.setdefault(recording.session, {}) if recording.session else {}
+        session = f"{recording.path.parent}:{recording.session}"
+        parts = parts_by_session.setdefault(session, {}) if recording.session else {}
         if recording.part in parts:
-            # A partial copy next to the complete part would count its samples twice.
-            whole = parts[recording.part].path.name
-            single_sessions.append(
-                RecordedSession((recording,), f"{recording.path.name} is a shorter copy of {whole}")
-            )
+            whole = parts[recording.part]
+            if _is_beginning(recording, whole, storage):
+                # A partial copy next to the complete part would count its samples twice.
+                reason = f"{recording.path.name} is a shorter copy of {whole.path.name}"
+                remedy = "remove the shorter copy from the spool"
+            else:
+                reason = (
+                    f"{recording.path.name} and {whole.path.name} differ, but both claim to be the "
+                    "same part of one session"
+                )
+                remedy = _CONFLICT_REMEDY
+                conflicts[session] = reason
+            single_sessions.append(RecordedSession((recording,), reason, remedy))
         elif recording.session:
             parts[recording.part] = recording
         else:
             single_sessions.append(RecordedSession((recording,)))
-    whole_sessions = (sorted(parts.values(), key=_by_path) for parts in parts_by_session.values())
-    part_sessions = [RecordedSession(tuple(parts)) for parts in whole_sessions]
+    whole_sessions = (
+        (tuple(sorted(parts.values(), key=_by_path)), conflicts.get(session, ""))
+        for session, parts in parts_by_session.items()
+    )
+    part_sessions = [
+        RecordedSession(parts, reason, _CONFLICT_REMEDY if reason else "")
+        for parts, reason in whole_sessions
+    ]
     return sorted(
         [*part_sessions, *single_sessions], key=lambda session: session.recordings[0].path
     )
+
+
+def _is_beginning(
+    recording: SpooledRecording, whole: SpooledRecording, storage: Storage | None
+) -> bool:
+    """Return whether the larger recording begins with the bytes of the other one."""
+    if storage is None:
+        return True
+    try:
+        with storage.local_copy(str(whole.path)) as path, path.open("rb") as file:
+            digest, remaining = hashlib.sha256(), recording.size
+            while remaining > 0 and (data := file.read(min(remaining, _BLOCK_BYTES))):
+                digest.update(data)
+                remaining -= len(data)
+    except (OSError, GyrorigError):
+        return False
+    return digest.hexdigest() == recording.sha256
 
 
 def _by_path(recording: SpooledRecording) -> PurePosixPath:

@@ -223,7 +223,8 @@ function load(shard, done, words) {
 }
 
 function openFromHash() {
-  const wanted = decodeURIComponent(location.hash.slice(1));
+  let wanted = "";
+  try { wanted = decodeURIComponent(location.hash.slice(1)); } catch { return; } // not of this page
   const at = wanted ? boards.id.indexOf(wanted) : -1;
   if (at < 0 || at === opened) return;
   by("rows").scrollTop = Math.max(0, shown.indexOf(at) - 4) * ROW_PX;
