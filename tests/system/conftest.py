@@ -1,10 +1,12 @@
-"""What several whole-system tests begin from: a browser, and a scheduler in a process."""
+"""What several whole-system tests begin from: a browser, a scheduler, a served rig."""
 
 import contextlib
 import os
+import shutil
 import signal
 import subprocess
 import sys
+import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
@@ -12,6 +14,7 @@ from typing import Any
 
 import pytest
 from tests.bench.fleet.browser import chromium
+from tests.support.served_rig import Devices, Service
 
 Clusters = Callable[..., AbstractContextManager[tuple[subprocess.Popen[str], str]]]
 
@@ -55,3 +58,21 @@ def clusters(tmp_path: Path) -> Clusters:
             process.communicate()
 
     return running
+
+
+@pytest.fixture
+def devices() -> Iterator[Devices]:
+    """Return an emulated unit and boards on pseudo-terminals, served by the test."""
+    made = Devices()
+    yield made
+    made.close()
+
+
+@pytest.fixture
+def service(devices: Devices) -> Iterator[Service]:
+    """Return a service on these devices; it is not started."""
+    folder = Path(tempfile.mkdtemp(prefix="gyrorig"))  # a socket's path must be short
+    made = Service(folder, devices)
+    yield made
+    made.close()
+    shutil.rmtree(folder)

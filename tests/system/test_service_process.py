@@ -6,169 +6,26 @@ The devices are served by the test, so that their own log tells what the unit wa
 import contextlib
 import json
 import os
-import shutil
 import signal
 import socket
 import subprocess
-import sys
-import tempfile
-import threading
 import time
-from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
 
 import pytest
+from tests.support.served_rig import (
+    FAR,
+    GYRORIGD,
+    REST_FAR,
+    SHORT,
+    Devices,
+    Service,
+    wait_for,
+)
 from websocket import create_connection
 
-from gyrorig_daemon.emulator.emulated_rig import EmulatedRig
-from gyrorig_daemon.emulator.emulator_settings import PtuSettings, RigSettings
-from gyrorig_daemon.emulator.pty_server import PtyServer, raw_now_ns
 from gyrorig_daemon.live.foxglove_view import DEFAULT_ADDRESS as LIVE_DEFAULT
-from gyrorig_daemon.service.job_queue import enqueue_job
-from gyrorig_daemon.service.service_client import send_command
-from gyrorig_protocol.errors import GyrorigError
 from gyrorig_protocol.recording.reader import read_recording
-
-GYRORIGD = (sys.executable, "-m", "gyrorig_daemon")
-FAR = b"name: far\nsteps:\n  - move: {pan_deg: 150.0, speed_deg_s: 4.0}\n"
-REST_FAR = FAR.replace(b"steps:\n", b"steps:\n  - rest: {seconds: 2.5}\n")
-SHORT = b"name: short\nsteps:\n  - move: {pan_deg: 5.0, speed_deg_s: 40.0}\n  - home: {}\n"
-
-
-def wait_for(condition: Callable[[], Any], patience_s: float = 90.0) -> None:
-    end_s = time.monotonic() + patience_s
-    while not condition():
-        assert time.monotonic() < end_s, "it did not come true"
-        time.sleep(0.02)
-
-
-class Devices:
-    """An emulated rig on ptys, served in a thread."""
-
-    def __init__(self) -> None:
-        unit = PtuSettings(baud=115200, command_time_ms=2.0)
-        self.rig = EmulatedRig(RigSettings(seed=1, ptu=unit), raw_now_ns())
-        self.server = PtyServer(self.rig)
-        self._ended = threading.Event()
-        self._thread = threading.Thread(target=self.server.run, args=(self._ended.is_set,))
-        self._thread.start()
-
-    def turning(self) -> bool:
-        return self.rig.stage.pan.is_moving((raw_now_ns() - self.rig.origin_ns) * 1e-9)
-
-    def halts(self) -> int:
-        return [order[0] for order in self.rig.stage.pan.commands].count("halt")
-
-    def close(self) -> None:
-        self._ended.set()
-        self._thread.join()
-        self.server.close()
-
-
-class Service:
-    """One `gyrorigd run`, and what systemd would hear and ask."""
-
-    def __init__(self, folder: Path, devices: Devices, name: str = "") -> None:
-        self.folder = folder
-        self.more: list[str] = []  # options of `gyrorigd run`
-        self.config = folder / "rig.yaml"
-        self.state = folder / f"state{name}"
-        self.socket = folder / f"sock{name}"
-        self.sane = (
-            "rig: system\n"
-            f"ptu: {{port: {devices.server.paths['ptu']}, baud: 115200}}\n"
-            f"boards: [{{id: B-1, port: {devices.server.paths['board:GY80-1']}, baud: 460800}}]\n"
-            "service: {reserve_mb: 10, board_patience_s: 0.0}\n"
-        )
-        self.config.write_text(self.sane)
-        self.notifications: list[str] = []
-        self._notify = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
-        self._notify.bind(str(folder / f"notify{name}"))
-        self._listener = threading.Thread(target=self._listen, daemon=True)
-        self._listener.start()
-        self.process: subprocess.Popen[str] | None = None
-
-    def start(self) -> subprocess.Popen[str]:
-        environment = os.environ | {
-            "NOTIFY_SOCKET": str(self._notify.getsockname()),
-            "WATCHDOG_USEC": "10000000",
-        }
-        command: list[str | Path] = [*GYRORIGD, "run", "--config", self.config]
-        command += ["--state", self.state, "--socket", self.socket, *self.more]
-        self.process = subprocess.Popen(
-            command, env=environment, stderr=subprocess.PIPE, text=True, start_new_session=True
-        )
-        return self.process
-
-    def start_ready(self) -> subprocess.Popen[str]:
-        before = self.notifications.count("READY=1")
-        process = self.start()
-        wait_for(lambda: self.notifications.count("READY=1") > before)
-        return process
-
-    def status(self) -> dict[str, Any]:
-        try:
-            answer = send_command(self.socket, "status")["status"]
-        except GyrorigError:
-            return {"state": "silent"}
-        assert isinstance(answer, dict)
-        return answer
-
-    def counted(self, where: str, name: str) -> int:
-        """A count of the status, 0 where nobody answers."""
-        return int(self.status().get(where, {}).get(name, 0))
-
-    def enqueue(self, program: bytes, **more: Any) -> None:
-        enqueue_job(self.state / "queue", program, "program.yaml", **more)
-
-    def results(self, folder: str) -> list[dict[str, Any]]:
-        paths = sorted((self.state / "queue" / folder).glob("*.result.json"))
-        return [json.loads(path.read_text()) for path in paths]
-
-    def recordings(self) -> list[Path]:
-        return sorted((self.state / "recordings").glob("*.mcap"))
-
-    def children(self) -> list[int]:
-        assert self.process is not None
-        path = Path(f"/proc/{self.process.pid}/task/{self.process.pid}/children")
-        return [int(pid) for pid in path.read_text().split()]
-
-    def end(self, number: signal.Signals = signal.SIGTERM) -> tuple[int, str]:
-        assert self.process is not None
-        if self.process.poll() is None:
-            self.process.send_signal(number)
-        _, errors = self.process.communicate(timeout=60)
-        return self.process.returncode, errors
-
-    def close(self) -> None:
-        if self.process is not None and self.process.poll() is None:
-            os.killpg(self.process.pid, signal.SIGKILL)
-            self.process.communicate()
-        self._notify.close()
-
-    def _listen(self) -> None:
-        while True:
-            try:
-                self.notifications.append(self._notify.recv(4096).decode())
-            except OSError:
-                return
-
-
-@pytest.fixture
-def devices() -> Iterator[Devices]:
-    made = Devices()
-    yield made
-    made.close()
-
-
-@pytest.fixture
-def service(devices: Devices) -> Iterator[Service]:
-    folder = Path(tempfile.mkdtemp(prefix="gyrorig"))  # a socket's path must be short
-    made = Service(folder, devices)
-    yield made
-    made.close()
-    shutil.rmtree(folder)
 
 
 def test_a_life_ended_by_sigterm_in_motion(service: Service, devices: Devices) -> None:

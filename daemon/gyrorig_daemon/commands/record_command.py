@@ -132,6 +132,10 @@ def record_command(context: click.Context, /, **options: Any) -> None:
             replay=motion.replay,
             replay_sha256=motion.replay_sha256,
         )
+
+        def print_event(kind: str, text: str) -> None:
+            progress.writer.write_line(f"{kind}: {text}")
+
         changed = _options_of_session(options, number) if count > 1 else {}
         return record_modes.RecordTask(
             request=request,
@@ -144,9 +148,9 @@ def record_command(context: click.Context, /, **options: Any) -> None:
             stop=stop,
             progress=progress,
             on_commitment=publish_commitment,
-            on_event=_print_event if terminal.verbose else ignore_event,
+            on_event=print_event if terminal.verbose else ignore_event,
             on_summary=lambda summary: _print_summary(summary, terminal),
-            say=_print_line,
+            say=lambda line: progress.writer.write(f"{line}\n"),
         )
 
     with _stop_by_signal() as stop, ProgressLine(shows_progress) as progress:
@@ -249,14 +253,6 @@ def _stop_by_signal() -> Iterator[StopFlag]:
     finally:
         for number, handler in previous_handlers.items():
             signal.signal(number, handler)
-
-
-def _print_line(line: str) -> None:
-    click.echo(line, err=True)
-
-
-def _print_event(kind: str, text: str) -> None:
-    click.echo(f"{kind}: {text}", err=True)
 
 
 def _print_summary(summary: SessionSummary, terminal: Terminal) -> None:

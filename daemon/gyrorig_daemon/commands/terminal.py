@@ -14,6 +14,8 @@ from typing import Self
 
 import click
 
+from gyrorig_daemon.session.line_writer import LineWriter
+
 CONTEXT = {"help_option_names": ["-h", "--help"]}
 ELAPSED_AFTER_S = 2.0  # a shorter command shows no time
 REDRAW_S = 0.2  # a terminal need not be redrawn more often
@@ -36,11 +38,13 @@ class Terminal:
 class ProgressLine:
     """One line on standard error with the elapsed time of a command, and the steps done.
 
-    A context manager. Text that the command prints replaces the line.
+    A context manager. Text that the command prints replaces the line. A terminal that takes
+    nothing delays nobody.
     """
 
     def __init__(self, is_shown: bool) -> None:
         self._is_shown = is_shown
+        self.writer = LineWriter()
         self._text = ""
         self._start_s = self._drawn_s = time.monotonic()
         self._finished = threading.Event()
@@ -62,7 +66,8 @@ class ProgressLine:
         if self._is_shown:
             self._finished.set()
             self._thread.join()
-            click.echo("\r\x1b[K", nl=False, err=True)
+            self.writer.write("\r\x1b[K")
+        self.writer.close()
 
     def __call__(self, step: int, total: int) -> None:
         """Draw the line with a step. Call it as often as convenient."""
@@ -80,7 +85,7 @@ class ProgressLine:
     def _draw(self, end: str) -> None:
         self._drawn_s = time.monotonic()
         elapsed = time.strftime("%M:%S", time.gmtime(self._drawn_s - self._start_s))
-        click.echo(f"\r{self._text}{elapsed} elapsed {end}", nl=False, err=True)
+        self.writer.write(f"\r{self._text}{elapsed} elapsed {end}")
 
 
 def is_interactive() -> bool:

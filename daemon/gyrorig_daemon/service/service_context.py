@@ -38,6 +38,7 @@ class ServiceCounts:
     emulator_restarts: int = 0
     clock_steps: int = 0
     late_turns: int = 0
+    log_lines_lost: int = 0
     clients: int = 0
     clients_slow: int = 0
     clients_refused: int = 0

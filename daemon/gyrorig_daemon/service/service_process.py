@@ -5,10 +5,8 @@ process ends immediately; the ports; a halt, before anything else is sent; readi
 (`service_loop`). If the acquisition process ends, the ports are opened again, without limit.
 """
 
-import contextlib
 import secrets
 import socket
-import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
@@ -42,6 +40,7 @@ from gyrorig_daemon.service.systemd_notifier import SystemdNotifier
 from gyrorig_daemon.session.connected_rig import Rig
 from gyrorig_daemon.session.emulation_options import EmulationOptions
 from gyrorig_daemon.session.garbage_collection import collect_rarely
+from gyrorig_daemon.session.line_writer import LineWriter
 from gyrorig_daemon.session.record_modes import make_port_settings
 from gyrorig_protocol.errors import GyrorigError, UsageError, sentence
 from gyrorig_protocol.program import parse_program
@@ -92,12 +91,6 @@ def load_config(path: Path) -> LoadedConfig:
     return LoadedConfig(config, text)
 
 
-def log_line(text: str) -> None:
-    """Write a line to the journal; a failure is ignored, so that its restart does not end us."""
-    with contextlib.suppress(OSError, ValueError):
-        print(" ".join(text.split()), file=sys.stderr, flush=True)  # noqa: T201 - systemd logs stderr
-
-
 class ServiceProcess:
     """The whole process of `gyrorigd run`."""
 
@@ -120,6 +113,7 @@ class ServiceProcess:
             str  # why the emulated rig ended, "" while it runs
         )
         self._counts = ServiceCounts()
+        self._log = LineWriter(self._count_lost_line)
         self._view = NO_VIEW
 
     def run(self) -> None:
@@ -132,6 +126,7 @@ class ServiceProcess:
         """
         options = self._options
         with ExitStack() as stack:
+            stack.enter_context(self._log)
             state_folder = stack.enter_context(StateFolder(options.state))
             server = stack.enter_context(
                 StatusServer(options.socket, self._handle_command, self._counts)
@@ -139,11 +134,14 @@ class ServiceProcess:
             metrics = MetricsWriter(options.metrics or state_folder.metrics)
             stack.callback(metrics.close)
             housekeeping = Housekeeping(
-                state_folder, lambda: self._config.config.service, self._clock_is_valid, log_line
+                state_folder,
+                lambda: self._config.config.service,
+                self._clock_is_valid,
+                self._log.write_line,
             )
             stack.callback(housekeeping.close)
             housekeeping.start()
-            view = open_live_view(options.live, log_line)
+            view = open_live_view(options.live, self._log.write_line)
             stack.callback(view.close)
             self._view = view
 
@@ -171,7 +169,7 @@ class ServiceProcess:
                 stalled_loops=lambda: self._stalled_loops(server),
                 dropped_bytes=self._total_dropped_bytes,
                 reopen_reason=self._reopen_reason,
-                log=log_line,
+                log=self._log.write_line,
                 housekeeping=housekeeping,
                 seed=time.monotonic_ns(),
                 view=view,
@@ -197,7 +195,9 @@ class ServiceProcess:
                 self._wait_before_reopening(str(error))
             except GyrorigError as error:
                 if previous_config is not None:
-                    log_line(f"{sentence(str(error))} The previous configuration is used.")
+                    self._log.write_line(
+                        f"{sentence(str(error))} The previous configuration is used."
+                    )
                     self._counts.reloads_refused += 1
                     self._apply_config(previous_config, context)
                     previous_config = None
@@ -212,7 +212,7 @@ class ServiceProcess:
 
     def _wait_before_reopening(self, reason: str) -> None:
         """Log why the rig must be opened again, and wait."""
-        log_line(f"{sentence(reason)} The ports are opened again.")
+        self._log.write_line(f"{sentence(reason)} The ports are opened again.")
         self._requests.terminate.wait(REOPEN_DELAY_S)
 
     @contextmanager
@@ -304,7 +304,11 @@ class ServiceProcess:
     def _handle_command(self, command: str, peer: Peer) -> str:
         """Accept a command from the socket's thread; the pump's thread carries it out."""
         requester = f"user {peer.uid}, process {peer.pid}"
-        log_line(f"Received {command} from {requester}.")
+        answer = self._pass_on(command, requester)  # before the log
+        self._log.write_line(f"Received {command} from {requester}.")
+        return answer
+
+    def _pass_on(self, command: str, requester: str) -> str:
         if command == "halt":
             self._requests.request_halt(requester)
             return "The unit is being halted. `gyrorigd status` shows when it has stopped."
@@ -313,3 +317,6 @@ class ServiceProcess:
             return "The motion lock is released."
         self._requests.reload.set()
         return "The configuration is being read again. The log shows the result."
+
+    def _count_lost_line(self) -> None:
+        self._counts.log_lines_lost += 1
