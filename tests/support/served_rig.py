@@ -75,6 +75,7 @@ class Service:
     def __init__(self, folder: Path, devices: Devices, name: str = "") -> None:
         self.folder = folder
         self.more: list[str] = []  # options of `gyrorigd run`
+        self.environment: dict[str, str] = {}
         self.config = folder / "rig.yaml"
         self.state = folder / f"state{name}"
         self.socket = folder / f"sock{name}"
@@ -96,6 +97,7 @@ class Service:
         environment = os.environ | {
             "NOTIFY_SOCKET": str(self._notify.getsockname()),
             "WATCHDOG_USEC": "10000000",
+            **self.environment,
         }
         command: list[str | Path] = [*GYRORIGD, "run", "--config", self.config]
         command += ["--state", self.state, "--socket", self.socket, *self.more]
@@ -109,6 +111,13 @@ class Service:
         process = self.start(stderr)
         wait_for(lambda: self.notifications.count("READY=1") > before)
         return process
+
+    def add_board(self, board_id: str, port: str) -> None:
+        """Add a board to the rig file, before the start."""
+        self.sane = self.sane.replace(
+            "}]\nservice", f"}}, {{id: {board_id}, port: {port}, baud: 460800}}]\nservice"
+        )
+        self.config.write_text(self.sane)
 
     def status(self) -> dict[str, Any]:
         try:

@@ -1,48 +1,24 @@
 """The unit is halted in a bounded time, whatever blocks, hangs, floods or dies: docs/halting.md."""
 
 import os
-import pty
-import select
 import signal
-import threading
-from collections.abc import Iterator
-from contextlib import contextmanager
 
 import pytest
-from tests.support.served_rig import FAR, Devices, Service, wait_for
+from tests.support.halt_trials import (
+    XOFF,
+    flooding_board,
+    hanging_disk,
+    prepare_hang,
+    set_in_motion,
+    terminal,
+)
+from tests.support.served_rig import Devices, Service, wait_for
 
 from gyrorig_daemon.emulator.pty_server import raw_now_ns
 from gyrorig_daemon.service.service_client import send_command
 
-XOFF = b"\x13"
 ORDERED_S = 0.5  # bound of a halt that a person or systemd orders
-
-
-@contextmanager
-def terminal() -> Iterator[tuple[int, int]]:
-    """Yield both ends of a terminal whose output somebody reads."""
-    screen, line = pty.openpty()
-    ended = threading.Event()
-
-    def read() -> None:
-        while not ended.is_set():
-            if select.select([screen], [], [], 0.05)[0]:
-                os.read(screen, 4096)
-
-    thread = threading.Thread(target=read)
-    thread.start()
-    try:
-        yield screen, line
-    finally:
-        ended.set()
-        thread.join()
-        os.close(screen)
-        os.close(line)
-
-
-def set_in_motion(service: Service, devices: Devices) -> None:
-    service.enqueue(FAR)
-    wait_for(devices.turning)
+SILENCE_S = 3.0  # of the daemon, after which the acquisition process halts the unit
 
 
 @pytest.mark.parametrize("order", ["stop-motion", "SIGTERM"])
@@ -61,3 +37,53 @@ def test_a_terminal_that_takes_nothing_delays_no_halt(
         assert devices.halt_after_s(begun_ns, 10.0) < ORDERED_S
         if order == "SIGTERM":
             assert process.wait(30) == 0
+
+
+def test_a_stopped_daemon_loses_its_unit(service: Service, devices: Devices) -> None:
+    process = service.start_ready()
+    set_in_motion(service, devices)
+    begun_ns = raw_now_ns()
+    process.send_signal(signal.SIGSTOP)
+    try:
+        halted_s = devices.halt_after_s(begun_ns, 10.0)
+        assert SILENCE_S - 1.0 < halted_s < SILENCE_S + 1.0
+        wait_for(lambda: not devices.turning())
+    finally:
+        process.send_signal(signal.SIGCONT)
+    wait_for(lambda: service.results("failed"))  # it does not go on with the program
+    (result,) = service.results("failed")
+    assert "the daemon did not run for 3 s" in result["reason"]
+    assert not devices.turning()
+    assert service.status()["state"] == "fault"
+    send_command(service.socket, "clear")
+    wait_for(lambda: service.status()["state"] == "ready")
+
+
+@pytest.mark.parametrize("order", ["stop-motion", "SIGTERM"])
+def test_an_order_halts_a_unit_whose_daemon_hangs(
+    service: Service, devices: Devices, order: str
+) -> None:
+    prepare_hang(service)
+    process = service.start_ready()
+    set_in_motion(service, devices)
+    with hanging_disk(service):
+        begun_ns = raw_now_ns()
+        if order == "SIGTERM":
+            process.send_signal(signal.SIGTERM)
+        else:
+            send_command(service.socket, "halt")
+        assert devices.halt_after_s(begun_ns, 10.0) < ORDERED_S
+
+
+def test_a_board_that_floods_delays_no_halt(service: Service, devices: Devices) -> None:
+    with flooding_board(service):
+        service.start_ready()
+        set_in_motion(service, devices)
+        wait_for(lambda: service.status()["acquisition_dropped_bytes"] > 0)
+        begun_ns = raw_now_ns()
+        send_command(service.socket, "halt")
+        assert devices.halt_after_s(begun_ns, 10.0) < ORDERED_S
+        wait_for(lambda: service.results("failed"))
+        status = service.status()
+    assert status["counts"]["motion_faults"] == 0
+    assert status["boards"][0]["counts"]["missing"] == 0

@@ -21,6 +21,7 @@ from gyrorig_daemon.commands.emulation_flags import (
 )
 from gyrorig_daemon.commands.terminal import ProgressLine, Terminal, is_interactive
 from gyrorig_daemon.config import EMULATED, RigConfig, parse_rig, read_document
+from gyrorig_daemon.links.ports.halt_pipe import HaltPipe
 from gyrorig_daemon.links.pump import StopFlag
 from gyrorig_daemon.motion import RecordedMotion
 from gyrorig_daemon.session import record_modes
@@ -242,15 +243,18 @@ def _session_name(name: str | None, number: int | None) -> str:
 @contextmanager
 def _stop_by_signal() -> Iterator[StopFlag]:
     """Turn the first signal into a request to stop; the unit is halted before the end."""
-    stop = StopFlag()
+    halt_pipe = HaltPipe(frozenset(SIGNALS))
+    stop = StopFlag(halt_pipe)
 
     def request(number: int, frame: FrameType | None) -> None:
         stop.request(signal.Signals(number).name)
 
     previous_handlers = {number: signal.signal(number, request) for number in SIGNALS}
+    halt_pipe.catch_signals()
     try:
         yield stop
     finally:
+        halt_pipe.close()
         for number, handler in previous_handlers.items():
             signal.signal(number, handler)
 

@@ -5,11 +5,19 @@ Whatever a session waits for (a reply, the end of a move, a static interval), it
 whether time is real or simulated.
 """
 
+import time
 from collections import deque
 from collections.abc import Callable
 from typing import Protocol
 
-from gyrorig_daemon.links.ports.port_hub import BufferedHub, Chunk, PortHub, WriteTimes
+from gyrorig_daemon.links.ports.halt_pipe import HaltPipe
+from gyrorig_daemon.links.ports.port_hub import (
+    BufferedHub,
+    Chunk,
+    PortHub,
+    UnitHaltedError,
+    WriteTimes,
+)
 from gyrorig_protocol.errors import GyrorigError
 
 STOP_CHECK_NS = 50_000_000  # longest delay until a request to stop is noticed
@@ -18,6 +26,8 @@ STOP_CHECK_NS = 50_000_000  # longest delay until a request to stop is noticed
 STALL_NS = 700_000_000
 MAX_BURST_CHUNKS = 64  # chunks between two checks of clock, timers and stop: 1 ms
 NEVER_NS = 1 << 62
+HALT_RETRIES = 3  # of a write, while halts are ordered again and again
+REASON_WAIT_S = 0.2  # an order to halt reaches the acquisition process before the stop flag
 
 ChunkSink = Callable[[Chunk], None]
 StallSink = Callable[[str, int, int], None]  # process name, start, end
@@ -44,13 +54,19 @@ class Timer(Protocol):
 
 
 class StopFlag:
-    """Set by a signal handler, checked between chunks."""
+    """Set by a signal handler or another thread, checked between chunks.
 
-    def __init__(self) -> None:
+    With a `HaltPipe` the acquisition process halts the unit at once, whatever the loop does.
+    """
+
+    def __init__(self, halt_pipe: HaltPipe | None = None) -> None:
+        self.halt_pipe = halt_pipe
         self.reason: str | None = None
 
     def request(self, reason: str) -> None:
         """Ask to stop; `reason` is the name of the signal."""
+        if self.halt_pipe is not None:
+            self.halt_pipe.order()  # first: the order precedes all that follows from the reason
         self.reason = reason
 
 
@@ -100,7 +116,20 @@ class Pump:
         return self._hub.now_ns()
 
     def write(self, port: str, data: bytes) -> WriteTimes:
-        """Write to a port. See `PortHub.write`."""
+        """Write to a port. See `PortHub.write`.
+
+        While stop is ignored, a write is repeated that was refused because of another halt.
+
+        Raises:
+            StopRequestedError: the unit was halted on request.
+            UnitHaltedError: the acquisition process has halted the unit for another reason.
+        """
+        for _ in range(HALT_RETRIES):
+            try:
+                return self._hub.write(port, data)
+            except UnitHaltedError as fault:
+                if self._obeys_stop:
+                    raise self._explain_halt(fault) from fault
         return self._hub.write(port, data)
 
     def is_up(self, port: str) -> bool:
@@ -144,6 +173,12 @@ class Pump:
         """Check the timers at once, because one of them is due earlier than before."""
         self._next_due_ns = 0
 
+    def _explain_halt(self, fault: UnitHaltedError) -> GyrorigError:
+        end_s = time.monotonic() + REASON_WAIT_S
+        while fault.was_ordered and self._stop.reason is None and time.monotonic() < end_s:
+            time.sleep(0.001)
+        return fault if self._stop.reason is None else _stop_error(self._stop.reason)
+
     def _fire(self, now_ns: int) -> None:
         for timer in self._timers:
             if timer.due_ns <= now_ns:
@@ -171,7 +206,8 @@ class Pump:
             self._deliver(chunks.popleft())
 
     def _deliver(self, chunk: Chunk) -> None:
-        self.processed_until_ns = chunk.received_ns
+        if not chunk.is_early:
+            self.processed_until_ns = chunk.received_ns
         if chunk.late_ns and chunk.received_ns - chunk.late_ns > self._late_until_ns:
             self._late_until_ns = chunk.received_ns
             self.late_stalls += 1

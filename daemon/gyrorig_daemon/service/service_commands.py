@@ -13,6 +13,8 @@ from typing import Any
 import click
 
 from gyrorig_daemon.config import read_document
+from gyrorig_daemon.links.ports.halt_pipe import HaltPipe
+from gyrorig_daemon.links.pump import StopFlag
 from gyrorig_daemon.live.foxglove_view import DEFAULT_ADDRESS as LIVE_DEFAULT
 from gyrorig_daemon.service.job_queue import enqueue_job
 from gyrorig_daemon.service.service_client import send_command, stream_responses
@@ -22,6 +24,7 @@ from gyrorig_daemon.service.state_folder import is_in_use
 from gyrorig_daemon.service.status_screen import render_status
 from gyrorig_protocol.errors import MachineError, sentence
 
+HALTING_SIGNALS = frozenset({signal.SIGTERM, signal.SIGINT})
 _FILE_PATH = click.Path(path_type=Path, dir_okay=False)
 _FOLDER_PATH = click.Path(path_type=Path, file_okay=False)
 
@@ -104,10 +107,11 @@ def run_command(
             f"{config_path}: the configuration is valid (rig {rig.rig}, {len(rig.boards)} boards)"
         )
         return
-    requests = OperatorRequests()
-    with _route_signals(requests):
-        options = ServiceOptions(config_path, state, socket_path, live, metrics)
-        ServiceProcess(options, requests, SystemdNotifier.from_environment()).run()
+    with HaltPipe(HALTING_SIGNALS) as halt_pipe:
+        requests = OperatorRequests(StopFlag(halt_pipe))
+        with _route_signals(requests):
+            options = ServiceOptions(config_path, state, socket_path, live, metrics)
+            ServiceProcess(options, requests, SystemdNotifier.from_environment()).run()
 
 
 @click.command("enqueue", short_help="Add a session to the queue.")
@@ -240,6 +244,7 @@ def _route_signals(requests: Any) -> Iterator[None]:
     previous_handlers = {
         number: signal.signal(number, handler) for number, handler in handlers.items()
     }
+    requests.stop.halt_pipe.catch_signals()
     try:
         yield
     finally:

@@ -232,7 +232,11 @@ class ServiceProcess:
                 stack.callback(self._clear_emulator)
                 paths |= {port: process.paths[port] for port in emulated}
             hub = stack.enter_context(
-                AcquisitionHub(make_port_settings(config, paths), wait_for_ports=True)
+                AcquisitionHub(
+                    make_port_settings(config, paths),
+                    wait_for_ports=True,
+                    halt_pipe=self._requests.stop.halt_pipe,
+                )
             )
             self._hub = hub
             stack.callback(self._close_hub)

@@ -68,7 +68,10 @@ class LineWriter:
 
     def _run(self) -> None:
         reported = 0
-        while (text := self._queue.get()) is not None:
+        is_open = True
+        while is_open:
+            queued = self._queue.get()
+            is_open, text = queued is not None, queued or ""
             if self.dropped > reported:
                 lost, reported = self.dropped - reported, self.dropped
                 text = f"{lost} lines are missing here, because nobody read the log.\n{text}"

@@ -20,8 +20,10 @@ from gyrorig_daemon.clocks.capture_clock import (
 from gyrorig_daemon.config import EMULATED, PTU_PORT, RigConfig
 from gyrorig_daemon.links.ports.acquisition_hub import AcquisitionHub, PortSettings
 from gyrorig_daemon.links.ports.port_hub import PortHub
+from gyrorig_daemon.links.ports.port_kinds import CAN_QUOTA_BYTES_PER_S
 from gyrorig_daemon.links.ports.raw_clock import raw_ns
 from gyrorig_daemon.links.pump import StopFlag
+from gyrorig_daemon.motion import find_driver
 from gyrorig_daemon.session.emulation_options import EmulationOptions
 from gyrorig_daemon.session.garbage_collection import collect_rarely
 from gyrorig_daemon.session.session import record_session
@@ -39,7 +41,7 @@ from gyrorig_daemon.session.session_environment import (
 from gyrorig_protocol.errors import DeviceError, MachineError, UsageError, sentence
 
 POWER_UP_NS = 5_000_000_000  # power-up of a simulated rig, by the rig's raw clock
-HALT_COMMAND = " H "  # sent if the daemon dies; the first space ends a truncated command
+HALT_COMMAND = " H "  # of Directed Perception units; the first space ends a truncated command
 
 
 def _ignore_commitment(_sha256: str) -> None:
@@ -106,7 +108,9 @@ def record_in_real_time(task: RecordTask) -> Path:
             if task.program_begin_s is not None:
                 program_begin_ns = process.power_up_ns + round(task.program_begin_s * 1e9)
             paths |= {port: process.paths[port] for port in emulated}
-        hub = stack.enter_context(AcquisitionHub(make_port_settings(config, paths)))
+        hub = stack.enter_context(
+            AcquisitionHub(make_port_settings(config, paths), halt_pipe=task.stop.halt_pipe)
+        )
         collect_rarely()
         environment = SessionEnvironment(
             capture=anchor_now(),
@@ -220,15 +224,28 @@ def make_port_settings(config: RigConfig, paths: dict[str, str]) -> dict[str, Po
         paths: the present path of each port.
     """
     bauds = {PTU_PORT: config.ptu.baud, **{b.hub_port: b.baud for b in config.serial_boards}}
-    halt = "" if config.ptu.is_person else HALT_COMMAND
+    halt = "" if config.ptu.is_person else _halt_text(config)
     settings = {
         port: PortSettings(paths[port], baud, halt if port == PTU_PORT else "")
         for port, baud in bauds.items()
         if port in paths
     }
     for bus in config.buses:
-        settings[bus.hub_port] = PortSettings(paths[bus.hub_port], bus.bitrate, kind="can")
+        settings[bus.hub_port] = PortSettings(
+            paths[bus.hub_port],
+            bus.bitrate,
+            kind="can",
+            quota_bytes_per_s=CAN_QUOTA_BYTES_PER_S,
+        )
     return settings
+
+
+def _halt_text(config: RigConfig) -> str:
+    """Return what stops the unit in any state, in the words of its driver."""
+    entry = find_driver(config.ptu.driver)
+    if entry.language is None:
+        return HALT_COMMAND
+    return entry.language(config.ptu).halt_bytes.decode("ascii")
 
 
 def serve_emulated_rig(

@@ -18,12 +18,12 @@ from pathlib import Path
 import pytest
 
 from gyrorig_daemon.links.can.multicast_line import MulticastLine
-from gyrorig_daemon.links.ports.acquisition import GATHER_NS, PIPE_BYTES
 from gyrorig_daemon.links.ports.acquisition_hub import AcquisitionHub, PortSettings
 from gyrorig_daemon.links.ports.acquisition_pipe import CHUNK, REPORT_HEADER, ReportParser
 from gyrorig_daemon.links.ports.port_errors import port_error
 from gyrorig_daemon.links.ports.port_hub import Chunk, PortChange, PortsGoneError
 from gyrorig_daemon.links.ports.raw_clock import raw_ns
+from gyrorig_daemon.links.ports.report_queue import GATHER_NS, PIPE_BYTES
 from gyrorig_daemon.links.ports.serial_port import PortRefusedError, open_port
 from gyrorig_daemon.links.pump import Pump
 from gyrorig_protocol.can import CanFrame, pack_frames, unpack_frames
@@ -364,7 +364,8 @@ def test_chunks_are_collected_with_their_timestamps_and_replies_are_sent_at_once
 
 def test_nothing_is_lost_while_the_daemon_does_not_read(line: Line) -> None:
     piece = bytes(range(256)) * 16
-    with AcquisitionHub({"a": PortSettings(line.path, 115200)}) as hub:
+    settings = PortSettings(line.path, 115200, quota_bytes_per_s=1 << 40)
+    with AcquisitionHub({"a": settings}) as hub:
         for _ in range(2):  # the pipe is full, and empty, and full again
             pieces = 2 * PIPE_BYTES // len(piece)
             for _ in range(pieces):

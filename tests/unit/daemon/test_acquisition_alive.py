@@ -6,6 +6,7 @@ process that hangs, it was not fed to the watchdog any more and killed with what
 
 import os
 import pty
+import signal
 import threading
 import time
 from collections.abc import Iterator
@@ -55,9 +56,14 @@ def test_a_silent_process_is_not_considered_alive() -> None:
     device, held = pty.openpty()
     settings = {"board": PortSettings(os.ttyname(held), 115200)}
     with AcquisitionHub(settings) as hub:
-        before_ns = hub.last_report_ns
         assert hub.read(raw_ns() + SECOND_NS // 5) is None
+        hub._child.send_signal(signal.SIGSTOP)
+        time.sleep(0.1)
+        assert hub.read(raw_ns() + SECOND_NS // 5) is None  # what it had sent before
+        before_ns = hub.last_report_ns
+        assert hub.read(raw_ns() + 2 * SECOND_NS) is None
         assert hub.last_report_ns == before_ns
+        hub._child.send_signal(signal.SIGCONT)
         hub.ping()
         end_ns = raw_ns() + PATIENCE_NS
         while hub.last_report_ns == before_ns:

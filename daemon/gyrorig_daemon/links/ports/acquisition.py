@@ -8,7 +8,11 @@ raises the median delay of the arrival timestamps from 35 us to 5 ms (measured o
 pseudo-terminal). Commands come in on standard input, reports go out on standard output (see
 `acquisition_pipe`). A port that goes away is tried again without limit (see
 `supervised_port`). When the daemon ends without closing its ports, each port is sent its
-final command: it halts the pan-tilt unit, which no other process could do then.
+final command: it halts the pan-tilt unit, which no other process could do then. It also
+halts the unit when an order arrives on a pipe of its own (see `halt_pipe`), and when the daemon
+has not spoken for three seconds. Then it refuses writes to the unit until the daemon knows.
+A port that sends more than its quota is not read for a while: what it sent meanwhile is
+discarded and counted, and the other ports lose nothing.
 """
 
 import contextlib
@@ -21,47 +25,58 @@ import signal
 import sys
 
 from gyrorig_daemon.links.ports import acquisition_pipe
+from gyrorig_daemon.links.ports.halt_pipe import ORDER, read_orders
 from gyrorig_daemon.links.ports.port_kinds import READ_BYTES, Line, PortSettings
+from gyrorig_daemon.links.ports.port_writes import PortWrites
 from gyrorig_daemon.links.ports.raw_clock import raw_ns
+from gyrorig_daemon.links.ports.report_queue import GATHER_NS, PIPE_BYTES, ReportQueue
 from gyrorig_daemon.links.ports.serial_port import PortRefusedError
-from gyrorig_daemon.links.ports.supervised_port import PendingWrite, SupervisedPort
+from gyrorig_daemon.links.ports.supervised_port import SupervisedPort
 
-PIPE_BYTES = 1 << 20
 MAX_BUFFERED_BYTES = 32 << 20  # about ten minutes of 16 boards at 800 Hz
 FINAL_WRITE_TIMEOUT_S = 0.5
 # udev sets permissions shortly after it creates a node; a broken adapter may be replaced
 RETRIED_REASONS = ("missing", "denied", "broken")
 MAX_POLL_WAIT_S = 0.1  # longest wait; if a turn takes much longer, this process did not run
 STALL_NS = 150_000_000  # far above the usual lateness of timestamps, and above the longest wait
-# Chunks are collected for this time before they are sent. They have their timestamps already,
-# and each transfer wakes the daemon up. Urgent reports are sent at once.
-GATHER_NS = 4_000_000
-GATHER_BYTES = 1 << 16
+DEAD_MAN_NS = 3_000_000_000  # longest silence of the daemon, which speaks twice per second
+ORDERED = b"a halt was ordered"
+SILENT = b"the daemon did not run for 3 s"
 _HUNG_UP = select.EPOLLHUP | select.EPOLLERR
 
 
 class Acquisition:
-    """All ports of the rig, between their drivers and two pipes."""
+    """All ports of the rig, between their drivers and the pipes of the daemon."""
 
-    def __init__(self, ports: list[SupervisedPort], commands_fd: int, reports_fd: int) -> None:
+    def __init__(
+        self,
+        ports: list[SupervisedPort],
+        commands_fd: int,
+        reports_fd: int,
+        urgent_fd: int,
+        halt_fd: int | None,
+        halting_orders: bytes,
+    ) -> None:
         self._ports = ports
         self._by_fd: dict[int, SupervisedPort] = {}
         self._commands_fd = commands_fd
-        self._reports_fd = reports_fd
+        self._halt_fd = halt_fd
+        self._halting_orders = halting_orders
         self._command_buffer = bytearray()
-        self._report_buffer = bytearray()
         self._dropped_bytes = 0
-        self._is_urgent = False
-        self._is_pipe_full = False  # the pipe of reports
-        self._batch_start_ns = 0  # since when reports or readable frames wait
-        self._deferred_ports: list[
-            SupervisedPort
-        ] = []  # readable, and read before the next transfer
-        self._pending_write_count = 0  # of all ports
+        # readable, and read before the next transfer
+        self._deferred_ports: list[SupervisedPort] = []
+        self._muted_ports: list[SupervisedPort] = []
         self._lateness_ns = 0  # error bound of the timestamps of this turn
+        self._last_command_ns: int | None = None  # None: the dead man's switch is not armed
         # Not `poll`, which checks every port whenever one of them has data.
         self._poll = select.epoll()
         self._poll.register(commands_fd, select.EPOLLIN)
+        if halt_fd is not None:
+            self._poll.register(halt_fd, select.EPOLLIN)
+        self._bulk = ReportQueue(reports_fd, self._poll)
+        self._urgent = ReportQueue(urgent_fd, self._poll)  # of the unit's port, and all writes
+        self._writes = PortWrites(ports, self._report, self._update_poll_mask)
 
     def run(self) -> None:
         """Serve until the daemon closes the pipe or ends."""
@@ -73,35 +88,40 @@ class Acquisition:
                 self._report_gone(port, port.last_refusal)
         turn_ns = raw_ns()
         while True:
-            if self._is_flush_due(turn_ns):
+            self._urgent.flush()
+            if self._bulk.is_flush_due(turn_ns, bool(self._deferred_ports)):
                 self._read_deferred_ports()
-                self._flush()
+                self._bulk.flush()
             ready = self._poll.poll(self._timeout_s())
             before_ns, turn_ns = turn_ns, raw_ns()
             self._lateness_ns = _lateness_ns(turn_ns - before_ns)
             if self._lateness_ns and not ready:
                 # SIGSTOP ends the wait without events; what arrived meanwhile is late, too.
                 ready = self._poll.poll(0.0)
-            for fd, events in ready:
-                if fd in self._by_fd:
-                    self._serve(self._by_fd[fd], events)
-                elif fd == self._reports_fd:
-                    self._flush()
-                elif fd == self._commands_fd and not self._read_commands():
-                    return
-            if self._pending_write_count:
-                self._fail_expired_writes()
-            if len(self._by_fd) < len(self._ports):
-                self._retry_closed_ports()
+            if not self._handle(ready, turn_ns):
+                return
+            if self._writes.pending_count:
+                self._writes.fail_expired()
+            if self._muted_ports:
+                self._unmute_ports(turn_ns)
+            self._retry_closed_ports()
+            self._halt_if_silent(turn_ns)
 
-    def _is_flush_due(self, now_ns: int) -> bool:
-        """Return whether something has waited long enough."""
-        if self._is_urgent or len(self._report_buffer) >= GATHER_BYTES:
-            return bool(self._report_buffer)
-        return now_ns - self._batch_start_ns >= GATHER_NS and self._has_pending_data()
+    def _handle(self, ready: list[tuple[int, int]], now_ns: int) -> bool:
+        """Serve what is ready; return False when the daemon closed the pipe or ended."""
+        for fd, events in ready:
+            if fd in self._by_fd:
+                self._serve(self._by_fd[fd], events)
+            elif fd == self._bulk.fd:
+                self._bulk.flush()
+            elif fd == self._halt_fd:
+                self._read_halt_orders()
+            elif fd == self._commands_fd and not self._read_commands(now_ns):
+                return False
+        return True
 
     def _has_pending_data(self) -> bool:
-        return bool(self._report_buffer or self._deferred_ports)
+        return bool(len(self._bulk) or self._deferred_ports)
 
     def _serve(self, port: SupervisedPort, events: int) -> None:
         if events & _HUNG_UP or (events & select.EPOLLIN and not port.is_self_timestamped):
@@ -110,17 +130,20 @@ class Acquisition:
             # Read it later together with what arrives until then: each frame has its own
             # timestamp, and one call reads many.
             if not self._has_pending_data():
-                self._batch_start_ns = raw_ns()
+                self._bulk.begin_batch()
             self._deferred_ports.append(port)
             self._update_poll_mask(port)
         if events & select.EPOLLOUT and port.writes:
-            self._write(port)
+            self._writes.resume(port)
 
     def _read(self, port: SupervisedPort, has_hung_up: bool) -> None:
         data = port.read(has_hung_up)
         stamp_ns = raw_ns()
         if data:
             self._report(acquisition_pipe.CHUNK, port.index, stamp_ns, self._lateness_ns, data)
+            if port.exceeds_quota(len(data), stamp_ns) and port not in self._muted_ports:
+                self._muted_ports.append(port)
+                self._update_poll_mask(port)
         elif data is not None:
             self._drop_port(port, "it was unplugged")
 
@@ -130,10 +153,20 @@ class Acquisition:
             self._update_poll_mask(port)
             self._read(port, False)
 
+    def _unmute_ports(self, now_ns: int) -> None:
+        """Read ports again that had exceeded their quota, from what arrives now."""
+        for port in [port for port in self._muted_ports if now_ns >= port.muted_until_ns]:
+            self._muted_ports.remove(port)
+            discarded = port.discard()
+            if discarded:
+                self._report(acquisition_pipe.DROPPED, port.index, now_ns, discarded, b"")
+            self._update_poll_mask(port)
+
     def _update_poll_mask(self, port: SupervisedPort) -> None:
         """Register for the events of the port that are of interest now."""
         if port.line is not None:
-            mask = 0 if port in self._deferred_ports else select.EPOLLIN
+            is_left_alone = port in self._deferred_ports or port in self._muted_ports
+            mask = 0 if is_left_alone else select.EPOLLIN
             self._poll.modify(port.line.fd, mask | (select.EPOLLOUT if port.writes else 0))
 
     def _register_port(self, port: SupervisedPort, line: Line) -> None:
@@ -144,13 +177,14 @@ class Acquisition:
         """Close a port; its pending writes fail."""
         if port in self._deferred_ports:
             self._deferred_ports.remove(port)
+        if port in self._muted_ports:
+            self._muted_ports.remove(port)
         if port.line is not None:
             self._poll.unregister(port.line.fd)
             del self._by_fd[port.line.fd]
             self._report_gone(port, reason)
         port.close_line(retry_now)
-        while port.writes:
-            self._end_write(port, b"the port was unplugged")
+        self._writes.fail_all(port, b"the port was unplugged")
 
     def _report_gone(self, port: SupervisedPort, reason: str) -> None:
         self._report(acquisition_pipe.GONE, port.index, raw_ns(), 0, reason.encode())
@@ -173,8 +207,29 @@ class Acquisition:
                 self._report(acquisition_pipe.BACK, port.index, raw_ns(), 0, b"")
                 self._register_port(port, port.line)
 
-    def _read_commands(self) -> bool:
+    def _read_halt_orders(self) -> None:
+        """Halt the unit if an order says so."""
+        if self._halt_fd is None:
+            return
+        orders = read_orders(self._halt_fd)
+        if orders is None:  # the daemon has ended; the pipe of commands says the same
+            self._poll.unregister(self._halt_fd)
+            self._halt_fd = None
+        elif any(order in self._halting_orders for order in orders):
+            self._writes.halt(ORDERED, True)
+
+    def _halt_if_silent(self, now_ns: int) -> None:
+        """Halt the unit if the daemon has not spoken for a while; it may be stopped, or hang."""
+        if self._last_command_ns is None:
+            return
+        self._last_command_ns += self._lateness_ns  # this process did not run either
+        if now_ns - self._last_command_ns > DEAD_MAN_NS:
+            self._last_command_ns = None  # armed again by the next command
+            self._writes.halt(SILENT, False)
+
+    def _read_commands(self, now_ns: int) -> bool:
         """Read the daemon's commands; return False when it closed the pipe or ended."""
+        self._read_halt_orders()  # an order is older than the RELEASE that follows it
         data = os.read(self._commands_fd, READ_BYTES)
         if not data:
             self._send_final_commands()
@@ -189,6 +244,8 @@ class Acquisition:
                 break
             body = bytes(self._command_buffer[acquisition_pipe.COMMAND_HEADER.size : end])
             del self._command_buffer[:end]
+            if self._last_command_ns is not None or kind == acquisition_pipe.PING:
+                self._last_command_ns = now_ns
             if kind == acquisition_pipe.CLOSE:
                 return False
             port = self._ports[index]
@@ -196,96 +253,41 @@ class Acquisition:
                 self._report(acquisition_pipe.PONG, 0, raw_ns(), 0, b"")
             elif kind == acquisition_pipe.REOPEN:
                 self._drop_port(port, "it is opened again", retry_now=True)
+            elif kind == acquisition_pipe.RELEASE:
+                port.halt_reason = b""
             else:
-                port.writes.append(PendingWrite(body, deadline_ns))
-                self._pending_write_count += 1
-                self._write(port)
+                self._writes.accept(port, body, deadline_ns)
         return True
-
-    def _write(self, port: SupervisedPort) -> None:
-        write = port.writes[0]
-        if port.line is None:
-            self._end_write(port, b"the port was unplugged")
-            return
-        if not write.before_ns:
-            write.before_ns = raw_ns()
-        try:
-            sent = port.line.write(write.data)
-        except BlockingIOError:
-            sent = 0
-        except OSError as fault:
-            self._end_write(port, os.strerror(fault.errno or 0).encode())
-            return
-        after_ns = raw_ns()
-        write.data = write.data[sent:]
-        if write.data:
-            self._update_poll_mask(port)
-            return
-        self._report(acquisition_pipe.WRITTEN, port.index, write.before_ns, after_ns, b"")
-        self._next_write(port)
-
-    def _end_write(self, port: SupervisedPort, reason: bytes) -> None:
-        self._report(acquisition_pipe.FAULT, port.index, raw_ns(), 0, reason)
-        self._next_write(port)
-
-    def _next_write(self, port: SupervisedPort) -> None:
-        port.writes.pop(0)
-        self._pending_write_count -= 1
-        self._update_poll_mask(port)
-
-    def _fail_expired_writes(self) -> None:
-        for port in self._ports:
-            while port.writes and raw_ns() > port.writes[0].deadline_ns:
-                self._end_write(port, b"the port takes no bytes")
 
     def _timeout_s(self) -> float:
         """Return how long to wait at most; the system rounds it up to milliseconds."""
         waiting = []
-        if self._pending_write_count:
-            waiting += [port.writes[0].deadline_ns for port in self._ports if port.writes]
+        if self._writes.pending_count:
+            waiting += self._writes.deadlines_ns()
         if len(self._by_fd) < len(self._ports):
             waiting += [port.retry_ns for port in self._ports if port.line is None]
-        if self._deferred_ports or (self._report_buffer and not self._is_pipe_full):
-            waiting.append(self._batch_start_ns + GATHER_NS)
+        waiting += [port.muted_until_ns for port in self._muted_ports]
+        if self._deferred_ports or (len(self._bulk) and not self._bulk.is_full):
+            waiting.append(self._bulk.batch_start_ns + GATHER_NS)
         if not waiting:
             return MAX_POLL_WAIT_S
         return max(0.0, min((min(waiting) - raw_ns()) * 1e-9, MAX_POLL_WAIT_S))
 
     def _report(self, kind: int, index: int, first_ns: int, second_ns: int, data: bytes) -> None:
-        if len(self._report_buffer) > MAX_BUFFERED_BYTES and kind == acquisition_pipe.CHUNK:
+        is_urgent = kind in acquisition_pipe.URGENT_KINDS or self._ports[index].is_urgent
+        if is_urgent and kind != acquisition_pipe.OPENED:
+            if len(self._urgent) <= MAX_BUFFERED_BYTES or kind != acquisition_pipe.CHUNK:
+                self._urgent.add(kind, index, first_ns, second_ns, data)
+            return
+        if len(self._bulk) > MAX_BUFFERED_BYTES and kind == acquisition_pipe.CHUNK:
             self._dropped_bytes += len(data)
             return
-        if self._dropped_bytes and len(self._report_buffer) < MAX_BUFFERED_BYTES // 2:
-            lost = acquisition_pipe.REPORT_HEADER.pack(
-                acquisition_pipe.DROPPED, index, 0, raw_ns(), self._dropped_bytes
-            )
-            self._report_buffer += lost
+        if self._dropped_bytes and len(self._bulk) < MAX_BUFFERED_BYTES // 2:
+            self._bulk.add(acquisition_pipe.DROPPED, index, raw_ns(), self._dropped_bytes, b"")
             self._dropped_bytes = 0
         if not self._has_pending_data():
-            self._batch_start_ns = raw_ns()
-        self._is_urgent = (
-            self._is_urgent or kind != acquisition_pipe.CHUNK or self._ports[index].is_urgent
-        )
-        self._report_buffer += (
-            acquisition_pipe.REPORT_HEADER.pack(kind, index, len(data), first_ns, second_ns) + data
-        )
-
-    def _flush(self) -> None:
-        """Send as much as the pipe takes, and wait for room only if something is left."""
-        try:
-            while self._report_buffer:
-                sent = os.write(self._reports_fd, self._report_buffer[:PIPE_BYTES])
-                del self._report_buffer[:sent]
-        except BlockingIOError:
-            if not self._is_pipe_full:
-                self._poll.register(self._reports_fd, select.EPOLLOUT)
-            self._is_pipe_full = True
-            return
-        except OSError:
-            self._report_buffer.clear()  # nobody reads; the pipe of commands will report the same
-        if self._is_pipe_full:
-            self._poll.unregister(self._reports_fd)
-        self._is_urgent = self._is_pipe_full = False
+            self._bulk.begin_batch()
+        self._bulk.add(kind, index, first_ns, second_ns, data)
 
     def _send_final_commands(self) -> None:
         for port in self._ports:
@@ -345,16 +347,19 @@ def main() -> int:
     with contextlib.suppress(OSError):
         fcntl.fcntl(reports_fd, fcntl.F_SETPIPE_SZ, PIPE_BYTES)
     arguments = json.loads(sys.argv[1])
+    urgent_fd, halt_fd = arguments["urgent_fd"], arguments["halt_fd"]
+    halting_orders = ORDER + bytes(arguments["halting_signals"])
     ports = [
         SupervisedPort(index, PortSettings(**settings), arguments["pause_ns"])
         for index, settings in enumerate(arguments["ports"])
     ]
     if not _open_all(ports, arguments["waits"], reports_fd):
         return 1
-    os.set_blocking(reports_fd, False)
+    for descriptor in (reports_fd, urgent_fd):
+        os.set_blocking(descriptor, False)
     gc.freeze()
     gc.disable()  # this process creates no reference cycles
-    Acquisition(ports, commands_fd, reports_fd).run()
+    Acquisition(ports, commands_fd, reports_fd, urgent_fd, halt_fd, halting_orders).run()
     return 0
 
 

@@ -12,12 +12,19 @@ from types import TracebackType
 from typing import NoReturn
 
 from gyrorig_daemon.links.ports import acquisition_pipe
-from gyrorig_daemon.links.ports.acquisition import PIPE_BYTES
 from gyrorig_daemon.links.ports.halt_on_disconnect import send_final_command
+from gyrorig_daemon.links.ports.halt_pipe import HaltPipe
 from gyrorig_daemon.links.ports.port_errors import port_error
-from gyrorig_daemon.links.ports.port_hub import Chunk, PortChange, PortsGoneError, WriteTimes
+from gyrorig_daemon.links.ports.port_hub import (
+    Chunk,
+    PortChange,
+    PortsGoneError,
+    UnitHaltedError,
+    WriteTimes,
+)
 from gyrorig_daemon.links.ports.port_kinds import SERIAL, PortSettings
 from gyrorig_daemon.links.ports.raw_clock import raw_ns
+from gyrorig_daemon.links.ports.report_queue import PIPE_BYTES
 from gyrorig_daemon.links.ports.supervised_port import RETRY_NS
 from gyrorig_protocol.child_process import module_command
 from gyrorig_protocol.errors import DeviceError, GyrorigError, MachineError, UsageError
@@ -28,6 +35,7 @@ WRITE_DEADLINE_NS = 500_000_000  # a port that takes no bytes delays all others 
 REPORT_DEADLINE_NS = 4_000_000_000
 OPEN_DEADLINE_NS = 15_000_000_000
 CLOSE_DEADLINE_S = 2.0
+SPEAK_NS = 500_000_000  # three seconds of silence make the acquisition process halt the unit
 RETRY_S = RETRY_NS * 1e-9
 
 
@@ -35,7 +43,11 @@ class AcquisitionHub:
     """A `PortHub` of real ports. Use it as a context manager, or close it."""
 
     def __init__(
-        self, ports: dict[str, PortSettings], wait_for_ports: bool = False, retry_s: float = RETRY_S
+        self,
+        ports: dict[str, PortSettings],
+        wait_for_ports: bool = False,
+        retry_s: float = RETRY_S,
+        halt_pipe: HaltPipe | None = None,
     ) -> None:
         """Open the ports in the acquisition process.
 
@@ -46,6 +58,7 @@ class AcquisitionHub:
             wait_for_ports: start without ports that do not exist, are not permitted yet, or are
                 broken; they are GONE until they can be opened.
             retry_s: mean time between two attempts to open a port.
+            halt_pipe: orders for the acquisition process that do not pass through this hub.
 
         Raises:
             UsageError: a path is not a serial port, or two names have the same port.
@@ -59,6 +72,11 @@ class AcquisitionHub:
         self._parser = acquisition_pipe.ReportParser()
         self._reports: deque[acquisition_pipe.AcquisitionReport] = deque()
         self._chunks: deque[Chunk] = deque()
+        self._urgent_parser = acquisition_pipe.ReportParser()
+        self._urgent_reports: deque[acquisition_pipe.AcquisitionReport] = deque()
+        self._urgent_chunks: deque[Chunk] = deque()  # of the unit
+        self._has_urgent_ended = False
+        self._last_ping_ns = 0
         self._closed_ports: set[str] = set()
         self._end_reason: str | None = None  # why no port can be reached
         self.dropped_bytes = 0
@@ -66,10 +84,17 @@ class AcquisitionHub:
         # wrote: this process may be late, and the answer comes after all earlier reports.
         self.last_report_ns = raw_ns()
         self._reject_duplicate_ports()
+        if halt_pipe is not None:
+            halt_pipe.drain()  # orders of the time without an acquisition process
+        self._urgent_fd, urgent_write_fd = os.pipe2(os.O_CLOEXEC)
+        os.set_blocking(self._urgent_fd, False)
         arguments = {
             "waits": wait_for_ports,
             "pause_ns": int(retry_s * 1e9),
             "ports": [asdict(s) for s in self._settings],
+            "urgent_fd": urgent_write_fd,
+            "halt_fd": None if halt_pipe is None else halt_pipe.read_fd,
+            "halting_signals": [] if halt_pipe is None else sorted(halt_pipe.halting_signals),
         }
         try:
             self._child = subprocess.Popen(  # noqa: S603 - our own module, our own interpreter
@@ -78,12 +103,16 @@ class AcquisitionHub:
                 stdout=subprocess.PIPE,
                 bufsize=0,
                 start_new_session=True,  # Ctrl-C must reach the daemon only
+                pass_fds=(urgent_write_fd, *([] if halt_pipe is None else [halt_pipe.read_fd])),
             )
         except OSError as fault:
+            os.close(self._urgent_fd)
             raise MachineError(
                 f"the acquisition process cannot be started ({fault.strerror})",
                 "free memory or end other processes, and start the program again",
             ) from fault
+        finally:
+            os.close(urgent_write_fd)
         if self._child.stdin is None or self._child.stdout is None:
             raise MachineError(
                 "the operating system created no pipes to the acquisition process",
@@ -131,7 +160,7 @@ class AcquisitionHub:
         )
         self._send(command)
         while True:
-            report = self._next_report(deadline_ns + REPORT_DEADLINE_NS)
+            report = self._next_urgent_report(deadline_ns + REPORT_DEADLINE_NS)
             if report is None:
                 self._child.kill()
                 self._child.wait()
@@ -144,7 +173,13 @@ class AcquisitionHub:
                     f"({port}): {report.data.decode(errors='replace')}",
                     "check the cable and the power of the device",
                 )
-            self._store_report(report)
+            if report.port == index and report.kind == acquisition_pipe.HALTED:
+                self._send(
+                    acquisition_pipe.COMMAND_HEADER.pack(acquisition_pipe.RELEASE, index, 0, 0)
+                )
+                reason = report.data.decode(errors="replace")
+                raise UnitHaltedError(reason, was_ordered=bool(report.second_ns))
+            self._store_report(report, self._urgent_chunks)
 
     def read(self, deadline_ns: int) -> Chunk | None:
         """Return the next chunk, None at the deadline.
@@ -152,15 +187,23 @@ class AcquisitionHub:
         Raises:
             PortsGoneError: the acquisition process ended.
         """
-        while not self._chunks:
-            report = self._next_report(deadline_ns)
-            if report is None:
+        self._speak()
+        while True:
+            self._receive_urgent()
+            while self._urgent_reports:
+                self._store_report(self._urgent_reports.popleft(), self._urgent_chunks)
+            if self._urgent_chunks:
+                chunk = self._urgent_chunks.popleft()
+                return chunk._replace(is_early=True) if self._has_older_data() else chunk
+            if self._chunks:
+                return self._chunks.popleft()
+            if not self._reports and not self._receive(deadline_ns):
                 return None
-            self._store_report(report)
             # Convert everything that arrived together, up to a change of a port.
-            while self._reports and self._reports[0].kind == acquisition_pipe.CHUNK:
-                self._store_report(self._reports.popleft())
-        return self._chunks.popleft()
+            is_first = True
+            while self._reports and (is_first or self._reports[0].kind == acquisition_pipe.CHUNK):
+                self._store_report(self._reports.popleft(), self._chunks)
+                is_first = False
 
     @property
     def buffered_chunks(self) -> deque[Chunk]:
@@ -208,17 +251,22 @@ class AcquisitionHub:
             self._child.wait()
         if self._child.stdout is not None:
             self._child.stdout.close()
+        os.close(self._urgent_fd)
 
     def _wait_until_open(self) -> None:
-        report = self._next_report(raw_ns() + OPEN_DEADLINE_NS)
-        if report is None:
+        deadline_ns = raw_ns() + OPEN_DEADLINE_NS
+        while not self._reports and self._receive(deadline_ns):
+            if not self._reports:
+                self._receive_urgent()
+        if not self._reports:
             raise MachineError(
                 f"the acquisition process did not start within {OPEN_DEADLINE_NS // 10**9} s",
                 "read the messages above. If there are none, the computer is overloaded, so "
                 "try again later",
             )
+        report = self._reports.popleft()
         if report.kind != acquisition_pipe.REFUSED:
-            self._store_report(report)
+            self._store_report(report, self._chunks)
             return
         reason, _, text = report.data.decode(errors="replace").partition("\n")
         raise port_error(self._names[report.port], self._settings[report.port].path, reason, text)
@@ -236,18 +284,20 @@ class AcquisitionHub:
                     "give each device a different port in the rig file",
                 )
 
-    def _store_report(self, report: acquisition_pipe.AcquisitionReport) -> None:
+    def _store_report(
+        self, report: acquisition_pipe.AcquisitionReport, chunks: deque[Chunk]
+    ) -> None:
         name = self._names[report.port]
         if report.kind == acquisition_pipe.CHUNK:
             _, _, stamp_ns, late_ns, data = report
-            self._chunks.append(Chunk(name, stamp_ns, data, None, "", late_ns))
+            chunks.append(Chunk(name, stamp_ns, data, None, "", late_ns))
         elif report.kind == acquisition_pipe.GONE:
             self._closed_ports.add(name)
             reason = report.data.decode(errors="replace")
-            self._chunks.append(Chunk(name, report.first_ns, b"", PortChange.GONE, reason))
+            chunks.append(Chunk(name, report.first_ns, b"", PortChange.GONE, reason))
         elif report.kind == acquisition_pipe.BACK:
             self._closed_ports.discard(name)
-            self._chunks.append(Chunk(name, report.first_ns, b"", PortChange.BACK))
+            chunks.append(Chunk(name, report.first_ns, b"", PortChange.BACK))
         elif report.kind == acquisition_pipe.DROPPED:
             self.dropped_bytes += report.second_ns
 
@@ -259,20 +309,57 @@ class AcquisitionHub:
         except OSError:
             self._raise_process_ended()
 
-    def _next_report(self, deadline_ns: int) -> acquisition_pipe.AcquisitionReport | None:
-        while not self._reports:
-            if self._end_reason is not None:
-                raise PortsGoneError(self._end_reason, "start the program again")
+    def _speak(self) -> None:
+        """Show the acquisition process twice per second that the event loop runs."""
+        now_ns = raw_ns()
+        if now_ns - self._last_ping_ns > SPEAK_NS:
+            self._last_ping_ns = now_ns
+            self.ping()
+
+    def _has_older_data(self) -> bool:
+        """Return whether data of boards wait that can be older than those of the unit."""
+        return bool(self._chunks or select.select([self._reports_fd], [], [], 0.0)[0])
+
+    def _next_urgent_report(self, deadline_ns: int) -> acquisition_pipe.AcquisitionReport | None:
+        while not self._urgent_reports:
+            if self._has_urgent_ended:
+                self._raise_process_ended()
             wait_s = max(0.0, (deadline_ns - raw_ns()) * 1e-9)
-            ready, _, _ = select.select([self._reports_fd], [], [], wait_s)
-            if not ready:
+            if not select.select([self._urgent_fd], [], [], wait_s)[0]:
                 return None
+            self._receive_urgent()
+        return self._urgent_reports.popleft()
+
+    def _receive_urgent(self) -> None:
+        """Read the reports of the unit's port and of writes; it does not wait."""
+        if self._has_urgent_ended:
+            return
+        try:
+            data = os.read(self._urgent_fd, PIPE_BYTES)
+        except BlockingIOError:
+            return
+        if not data:
+            self._has_urgent_ended = True  # what the other pipe still holds is read first
+            return
+        self.last_report_ns = raw_ns()
+        self._urgent_reports.extend(self._urgent_parser.feed(data))
+
+    def _receive(self, deadline_ns: int) -> bool:
+        """Wait for reports of either pipe, and read those of boards; False at the deadline."""
+        if self._end_reason is not None:
+            raise PortsGoneError(self._end_reason, "start the program again")
+        wait_s = max(0.0, (deadline_ns - raw_ns()) * 1e-9)
+        sources = (
+            [self._reports_fd] if self._has_urgent_ended else [self._reports_fd, self._urgent_fd]
+        )
+        ready, _, _ = select.select(sources, [], [], wait_s)
+        if self._reports_fd in ready:
             data = os.read(self._reports_fd, PIPE_BYTES)
             if not data:
                 self._raise_process_ended()
             self.last_report_ns = raw_ns()
             self._reports.extend(self._parser.feed(data))
-        return self._reports.popleft()
+        return bool(ready)
 
     def _raise_process_ended(self) -> NoReturn:
         """Report that the acquisition process has ended.

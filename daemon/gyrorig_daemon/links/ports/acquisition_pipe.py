@@ -1,8 +1,9 @@
 """The protocol of the pipes between the daemon and its acquisition process.
 
-Two one-way pipes carry frames: a fixed header, then data. It uses only `struct` and a named
-tuple, because the acquisition process imports nothing larger and the daemon parses thousands
-of reports per second.
+One-way pipes carry frames: a fixed header, then data. Reports take two pipes, so that what the
+unit sends, and the result of each write, never wait behind the data of boards. This module uses
+only `struct` and a named tuple, because the acquisition process imports nothing larger and the
+daemon parses thousands of reports per second.
 """
 
 import struct
@@ -13,7 +14,8 @@ COMMAND_HEADER = struct.Struct("<BBxxIq")
 WRITE = 1
 CLOSE = 2
 REOPEN = 3  # close the port and open it again
-PING = 4  # request a PONG
+PING = 4  # request a PONG; from the first one on, silence of three seconds halts the unit
+RELEASE = 5  # the daemon knows of the halt: writes to the unit are accepted again
 
 # acquisition -> daemon: kind, port index, length of the data, two times in ns
 REPORT_HEADER = struct.Struct("<BBxxIqq")
@@ -28,6 +30,10 @@ DROPPED = 6  # first: time; second: bytes dropped because the daemon did not rea
 GONE = 7  # first: time; data is the reason. Sent again if the reason changes
 BACK = 8  # the port is open again; first: time
 PONG = 9  # reply to a PING; first: time
+# A write was refused, because this process has halted the unit. Second: 1 if that was ordered;
+# data is the reason.
+HALTED = 10
+URGENT_KINDS = (WRITTEN, FAULT, PONG, HALTED)  # of every port; of the unit's port all kinds
 
 MAX_DATA_BYTES = 1 << 20
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import NamedTuple, Protocol, runtime_checkable
 
-from gyrorig_protocol.errors import MachineError
+from gyrorig_protocol.errors import DeviceError, MachineError
 
 
 class PortChange(Enum):
@@ -31,6 +31,7 @@ class Chunk(NamedTuple):
     change: PortChange | None = None
     text: str = ""  # why the port is gone
     late_ns: int = 0  # largest error of the timestamp if the reading process did not run
+    is_early: bool = False  # chunks of other ports that are older can still come
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,6 +49,23 @@ class PortsGoneError(MachineError):
     """
 
 
+class UnitHaltedError(DeviceError):
+    """A write was refused once, because the acquisition process had halted the unit by itself."""
+
+    def __init__(self, reason: str, was_ordered: bool) -> None:
+        """Tell the reason.
+
+        Args:
+            reason: why the unit was halted.
+            was_ordered: whether a person, a signal or another thread ordered the halt.
+        """
+        super().__init__(
+            f"the acquisition process has halted the unit, because {reason}",
+            "free the computer from other work, or check its disk. Then start the session again",
+        )
+        self.was_ordered = was_ordered
+
+
 class PortHub(Protocol):
     """All ports of a rig, by name, on one raw monotonic clock."""
 
@@ -60,6 +78,7 @@ class PortHub(Protocol):
 
         Raises:
             DeviceError: the port is gone, or did not take the bytes before the deadline.
+            UnitHaltedError: the unit was halted meanwhile; the next write is accepted.
             PortsGoneError: no port can be reached.
         """
         ...

@@ -17,6 +17,10 @@ SERIAL = "serial"
 READ_BYTES = 65_536
 # kind -> module with `open_line`; the serial port is in this module
 KINDS: dict[str, str] = {"can": "gyrorig_daemon.links.can.socketcan_line"}
+# What a port may send per second. A board of 800 Hz sends 40 kB/s; a CAN bus of 1 Mbit/s sends at
+# most 20 000 frames, of 24 bytes each as this process reports them.
+SERIAL_QUOTA_BYTES_PER_S = 256_000
+CAN_QUOTA_BYTES_PER_S = 1_000_000
 SELF_TIMESTAMPED_KINDS = frozenset({"can"})  # their bytes contain the time of each frame
 
 
@@ -31,6 +35,7 @@ class PortSettings:
     options: dict[str, str | int | float | bool] = field(
         default_factory=dict
     )  # specific to the kind
+    quota_bytes_per_s: int = SERIAL_QUOTA_BYTES_PER_S  # what exceeds it is discarded
 
 
 class Line(Protocol):

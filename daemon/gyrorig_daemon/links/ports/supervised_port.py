@@ -22,6 +22,9 @@ from gyrorig_daemon.links.ports.serial_port import PortRefusedError
 RETRY_NS = 2_000_000_000
 _JITTER = 0.25  # relative variation of the time between two attempts
 MAX_EMPTY_READS = 100  # consecutive, although the port is readable and not unplugged
+BURST_S = 2.0  # of its quota: what a port may send at once, after a stall of this process
+MUTE_NS = 100_000_000  # a port that exceeds its quota is not read for so long
+MAX_DISCARDING_READS = 16  # after that
 
 
 @dataclass(slots=True)
@@ -31,6 +34,7 @@ class PendingWrite:
     data: bytes
     deadline_ns: int
     before_ns: int = 0
+    is_own: bool = False  # a halt of this process, which nobody waits for
 
 
 @dataclass(slots=True)
@@ -45,6 +49,11 @@ class SupervisedPort:
     empty_reads: int = 0
     last_refusal: str = ""  # why the last attempt failed
     writes: list[PendingWrite] = field(default_factory=list)
+    halt_reason: bytes = b""  # why this process has halted the unit; until RELEASE
+    is_halt_ordered: bool = False
+    muted_until_ns: int = 0  # it has exceeded its quota; 0: it has not
+    _credit_bytes: float = 0.0
+    _credit_ns: int = 0
 
     @property
     def final_command(self) -> bytes:
@@ -101,6 +110,27 @@ class SupervisedPort:
             return data
         self.empty_reads += 1
         return b"" if has_hung_up or self.empty_reads > MAX_EMPTY_READS else None
+
+    def exceeds_quota(self, received: int, now_ns: int) -> bool:
+        """Count received bytes; return whether the port must be muted now."""
+        rate = self.settings.quota_bytes_per_s
+        earned = rate * (now_ns - self._credit_ns) * 1e-9
+        self._credit_bytes = min(self._credit_bytes + earned, rate * BURST_S) - received
+        self._credit_ns = now_ns
+        if self._credit_bytes >= 0.0:
+            return False
+        self.muted_until_ns = now_ns + MUTE_NS
+        return True
+
+    def discard(self) -> int:
+        """Discard what has arrived while the port was muted; return how many bytes."""
+        self.muted_until_ns, discarded = 0, 0
+        for _ in range(MAX_DISCARDING_READS):
+            data = self.read(False)
+            if not data:
+                break
+            discarded += len(data)
+        return discarded
 
 
 def _jittered_ns(interval_ns: int) -> int:
