@@ -1,7 +1,9 @@
 """Client of the service's socket: send a command to a running service, or watch its status."""
 
+import contextlib
 import json
 import socket
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -10,6 +12,7 @@ from gyrorig_daemon.service.service_protocol import MAX_RESPONSE_BYTES, encode
 from gyrorig_protocol.errors import GyrorigError, MachineError
 
 RESPONSE_TIMEOUT_S = 5.0
+CONNECT_RETRY_S = 0.02
 LOG_HINT = (
     "read the daemon's messages with `journalctl -u gyrorigd`, or in the terminal in which it ran"
 )
@@ -43,8 +46,9 @@ def stream_responses(path: Path, command: str) -> Iterator[dict[str, Any]]:
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM | socket.SOCK_CLOEXEC) as connection:
         connection.settimeout(RESPONSE_TIMEOUT_S)
         try:
-            connection.connect(str(path))
-            connection.sendall(encode({"command": command}))
+            _connect(connection, path)
+            with contextlib.suppress(BrokenPipeError):  # refused: the reason can be read
+                connection.sendall(encode({"command": command}))
             for line in _read_lines(connection):
                 yield _parse_response(line, path)
         except TimeoutError as error:
@@ -55,6 +59,20 @@ def stream_responses(path: Path, command: str) -> Iterator[dict[str, Any]]:
         except OSError as error:
             raise _connection_error(path, error) from error
     raise MachineError(f"the daemon closed the connection at the socket {path}", LOG_HINT)
+
+
+def _connect(connection: socket.socket, path: Path) -> None:
+    """Connect, and try again while others fill the row of those who wait to be accepted."""
+    end_s = time.monotonic() + RESPONSE_TIMEOUT_S
+    while True:
+        try:
+            connection.connect(str(path))
+        except BlockingIOError:
+            if time.monotonic() > end_s:
+                raise
+            time.sleep(CONNECT_RETRY_S)
+        else:
+            return
 
 
 def _connection_error(path: Path, error: OSError) -> MachineError:

@@ -3,7 +3,11 @@
 What to use when: one `StatusServer` per process, as a context manager. It runs in a thread of its
 own and never accesses a port or a recording. It receives a finished status every second and passes
 requests on. A client that does not read what it is sent is disconnected (as gpsd does), and so is
-a client that sends too much. There are never more than `MAX_CLIENTS`.
+a client that sends too much.
+
+Root and the service's own user always get a connection. Other users have `MAX_USER_CLIENTS` each
+and `MAX_CLIENTS` together; if these are taken, a user with fewer connections displaces the
+connection that has been idle for the longest time of the user who has the most.
 """
 
 import contextlib
@@ -13,6 +17,7 @@ import socket
 import struct
 import threading
 import time
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -31,9 +36,17 @@ from gyrorig_daemon.service.watchdog import Heartbeat
 from gyrorig_protocol.errors import BusyError, MachineError
 
 STARTING_TEXT = "The daemon is starting and has no status of the rig yet. Try again in a second."
-MAX_CLIENTS = 32
+TOO_MANY_TEXT = (
+    "The daemon has too many clients at the socket. Close other connections of your user, such as "
+    "`gyrorigd status` in other terminals, or use sudo."
+)
+MAX_CLIENTS = 32  # of ordinary users
+MAX_USER_CLIENTS = 8  # of each of them
+MAX_OWN_CLIENTS = 32  # of root and the service's own user
+MAX_ACCEPTED_AT_ONCE = 64
+BACKLOG = 256  # connections that wait to be accepted
 UNSENT_LIMIT_BYTES = 256_000  # several seconds of status of a large rig
-CLIENT_TIMEOUT_S = 10.0  # a client must read or send something within this time
+CLIENT_TIMEOUT_S = 10.0  # a client must read something or send a request within this time
 SELECT_TIMEOUT_S = 0.5
 LOOP_STALL_LIMIT_S = 8.0
 SOCKET_MODE = 0o660
@@ -63,10 +76,16 @@ class _Client:
     unsent: bytearray = field(default_factory=bytearray)
     is_watching: bool = False
     is_closing: bool = False  # once everything is sent
-    last_active_s: float = field(default_factory=time.monotonic)  # it read or sent something
+    last_active_s: float = field(default_factory=time.monotonic)  # it read, or sent a request
 
 
 Handler = Callable[[str, Peer], str]
+
+
+def _peer(connection: socket.socket) -> Peer:
+    credentials = connection.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, _CREDENTIALS.size)
+    pid, uid, _ = _CREDENTIALS.unpack(credentials)
+    return Peer(pid, uid)
 
 
 class StatusServer:
@@ -168,24 +187,46 @@ class StatusServer:
                 self._read(client)
 
     def _accept(self) -> None:
-        if self._listener is None:
-            return
-        try:
-            connection, _ = self._listener.accept()
-        except OSError:
-            return
-        if len(self._clients) >= MAX_CLIENTS:
-            self._counts.clients_refused += 1
-            connection.close()
-            return
-        connection.setblocking(False)
-        credentials = connection.getsockopt(
-            socket.SOL_SOCKET, socket.SO_PEERCRED, _CREDENTIALS.size
-        )
-        pid, uid, _ = _CREDENTIALS.unpack(credentials)
-        self._counts.clients += 1
-        self._clients[connection.fileno()] = _Client(connection, Peer(pid, uid))
-        self._selector.register(connection, selectors.EVENT_READ)
+        for _ in range(MAX_ACCEPTED_AT_ONCE):
+            if self._listener is None:
+                return
+            try:
+                connection, _ = self._listener.accept()
+            except OSError:
+                return
+            connection.setblocking(False)
+            peer = _peer(connection)
+            if not self._make_room(peer):
+                self._counts.clients_refused += 1
+                with contextlib.suppress(OSError):
+                    connection.send(encode({"ok": False, "error": TOO_MANY_TEXT}))
+                connection.close()
+                continue
+            self._counts.clients += 1
+            self._clients[connection.fileno()] = _Client(connection, peer)
+            self._selector.register(connection, selectors.EVENT_READ)
+
+    def _make_room(self, peer: Peer) -> bool:
+        """Return whether a connection of this user can be accepted; displace another if needed."""
+        alike = [c for c in self._clients.values() if c.peer.may_command == peer.may_command]
+        if peer.may_command:
+            if len(alike) >= MAX_OWN_CLIENTS:
+                self._displace(alike)
+            return True
+        of_user = Counter(client.peer.uid for client in alike)
+        if of_user[peer.uid] >= MAX_USER_CLIENTS:
+            return False
+        if len(alike) < MAX_CLIENTS:
+            return True
+        uid, count = of_user.most_common(1)[0]
+        if count <= of_user[peer.uid] + 1:
+            return False
+        self._displace([client for client in alike if client.peer.uid == uid])
+        return True
+
+    def _displace(self, clients: list[_Client]) -> None:
+        self._counts.clients_refused += 1
+        self._drop(min(clients, key=lambda client: client.last_active_s))
 
     def _read(self, client: _Client) -> None:
         try:
@@ -197,11 +238,11 @@ class StatusServer:
         if not data:
             self._drop(client)
             return
-        client.last_active_s = time.monotonic()
         client.received += data
         while (end := client.received.find(b"\n")) >= 0 and not client.is_closing:
             line = bytes(client.received[:end])
             del client.received[: end + 1]
+            client.last_active_s = time.monotonic()  # a byte now and then is no request
             if not self._answer(client, line):
                 return
         if len(client.received) > MAX_REQUEST_BYTES:
@@ -299,7 +340,7 @@ def _listen(path: Path) -> socket.socket:
             listener.bind(str(path))
         finally:
             os.umask(previous_umask)
-        listener.listen(MAX_CLIENTS)
+        listener.listen(BACKLOG)
         listener.setblocking(False)
     except OSError as error:
         listener.close()

@@ -4,6 +4,7 @@ import json
 import os
 import socket
 import struct
+import subprocess
 import tempfile
 import threading
 import time
@@ -167,17 +168,106 @@ def test_one_byte_at_a_time_and_two_in_one(served: ServedSocket) -> None:
         ]
 
 
-def test_too_many_clients(served: ServedSocket, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(server_module, "MAX_CLIENTS", 3)
-    held = [served.connect() for _ in range(3)]
-    wait_for(lambda: served.counts.clients == 3)
-    with served.connect() as one_more:
-        assert one_more.recv(1) == b""
+@pytest.fixture
+def users(monkeypatch: pytest.MonkeyPatch) -> Iterator[list[int]]:
+    """Return the users of the next connections, the first one first; then our own."""
+    uids: list[int] = []
+    real = server_module._peer
+
+    def peer(connection: socket.socket) -> Peer:
+        return Peer(os.getpid(), uids.pop(0)) if uids else real(connection)
+
+    monkeypatch.setattr(server_module, "_peer", peer)
+    yield uids
+    assert not uids
+
+
+def test_a_user_with_too_many_connections_locks_out_nobody(
+    served: ServedSocket, users: list[int]
+) -> None:
+    limit = server_module.MAX_USER_CLIENTS
+    users += [70001] * (limit + 1)
+    held = [served.connect() for _ in range(limit)]
+    wait_for(lambda: served.counts.clients == limit)
+    with pytest.raises(RefusedRequestError, match="too many clients"):
+        send_command(served.path, "halt")
     assert served.counts.clients_refused == 1
+    users.append(70002)
+    assert send_command(served.path, "halt")["ok"]
+    assert send_command(served.path, "clear")["ok"]  # our own user
     for connection in held:
         connection.close()
     wait_for(lambda: not served.server._clients)
+    users.append(70001)
     assert send_command(served.path, "status")["ok"]
+
+
+def test_many_users_together_lock_out_nobody(served: ServedSocket, users: list[int]) -> None:
+    each = server_module.MAX_USER_CLIENTS
+    several = [70000 + n for n in range(server_module.MAX_CLIENTS // each)]
+    held = []
+    for uid in several:
+        users += [uid] * each
+        held += [served.connect() for _ in range(each)]
+    wait_for(lambda: served.counts.clients == len(held))
+    users.append(80000)
+    assert send_command(served.path, "halt")["ok"]
+    assert served.counts.clients_refused == 1  # the displaced one
+    for _ in range(server_module.MAX_OWN_CLIENTS + 2):
+        held.append(served.connect())  # our own
+    assert send_command(served.path, "clear")["ok"]
+    for connection in held:
+        connection.close()
+
+
+def test_a_byte_now_and_then_keeps_no_connection(
+    served: ServedSocket, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(server_module, "CLIENT_TIMEOUT_S", 0.6)
+    with served.connect() as slow:
+        slow.settimeout(0.2)
+        end_s, answer = time.monotonic() + 30.0, b"still open"
+        while answer:
+            assert time.monotonic() < end_s
+            try:
+                slow.sendall(b" ")
+                answer = slow.recv(1)
+            except TimeoutError:
+                continue
+            except OSError:
+                break
+
+
+def run_as(uid: int, path: Path, script: str) -> subprocess.Popen[str]:
+    """Run Python as another user, with the path of the socket as its argument."""
+    return subprocess.Popen(
+        ["/usr/bin/env", "python3", "-c", script, str(path)],
+        user=uid, group=uid, extra_groups=[], cwd="/",
+        stdout=subprocess.PIPE, text=True,
+    )  # fmt: skip
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="another user needs root")
+def test_root_is_served_while_another_user_holds_every_connection(served: ServedSocket) -> None:
+    served.path.parent.chmod(0o755)
+    served.path.chmod(0o666)
+    holder = run_as(
+        65534,
+        served.path,
+        "import socket, sys, time\nheld = []\n"
+        "for _ in range(40):\n"
+        "    s = socket.socket(socket.AF_UNIX); s.connect(sys.argv[1]); held.append(s)\n"
+        "print('held', flush=True); time.sleep(60)\n",
+    )
+    try:
+        assert holder.stdout is not None
+        assert holder.stdout.readline() == "held\n"
+        wait_for(lambda: served.counts.clients_refused >= 40 - server_module.MAX_USER_CLIENTS)
+        for command in ("halt", "clear", "status"):
+            assert send_command(served.path, command)["ok"]
+    finally:
+        holder.kill()
+        holder.communicate()
 
 
 def test_a_socket_of_a_daemon_that_lives_and_of_one_that_died(served: ServedSocket) -> None:
