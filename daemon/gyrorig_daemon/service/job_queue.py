@@ -11,13 +11,20 @@ same disk. Names that begin with a dot are ignored.
 
 What to use when: `enqueue_job` to add a job, `JobQueue` to take jobs. A job that was running
 when the service crashed is not started again, because it may be the cause of the crash.
+
+Members of the daemon's group write to `queue/`, so nothing in it is trusted. `JobQueue` opens each
+folder once, without following links, and then names every file relative to the opened folder. A
+folder that a member has exchanged for a link is refused at the start and has no effect later.
 """
 
 import contextlib
+import errno
+import itertools
 import json
 import os
 import secrets
 import stat
+import time
 from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -40,7 +47,12 @@ INTERRUPTED = (
     "the job again."
 )
 MAX_KEPT_RESULTS = 1_000  # in done/ and in failed/ each
-FOLDER_MODE = 0o2770  # members of the daemon's group can add jobs
+MAX_SCANNED = 4_096  # entries of the folder; the others are seen when these are gone
+MAX_REJECTED_AT_ONCE = 16  # files of one call; the event loop waits for it
+MTIME_STEP_NS = 100_000_000  # two changes of a folder within this time can have one mtime
+FOLDER_MODE = 0o3770  # the daemon's group can add jobs; sticky: each member removes only its own
+OWN_FOLDER_MODE = 0o750
+FOLDERS = ("running", "done", "failed")
 JOB_MODE = 0o660
 RESULT_MODE = 0o640
 
@@ -146,53 +158,56 @@ class JobQueue:
         """Create missing folders, and move jobs that were running to `failed`.
 
         Raises:
-            MachineError: the folders cannot be created.
+            MachineError: the folders cannot be created, or another user has exchanged one.
         """
         self._folder = folder
         self.rejected_count = 0
+        self._unmovable: set[str] = set()  # files that cannot be taken out of the folder
+        self._names: list[str] = []
+        self._names_mtime_ns = -1
         try:
             folder.mkdir(parents=True, exist_ok=True)
             with contextlib.suppress(PermissionError):  # another user owns the folder
                 folder.chmod(FOLDER_MODE)
-            for name in ("running", "done", "failed"):
-                (folder / name).mkdir(exist_ok=True)
+            self._inbox_fd = os.open(folder, _FOLDER_FLAGS)
+            self._fds = {name: self._open_own_folder(name) for name in FOLDERS}
         except OSError as error:
             raise MachineError(
                 f"the folder {folder} cannot be used for the queue ({error.strerror})",
                 "choose another folder with --state",
             ) from error
-        for path in self._job_files(folder / "running"):
-            self._archive(path, "failed", {"reason": INTERRUPTED})
+        for name in _job_names(self._fds["running"]):
+            self._archive(self._folder / "running" / name, "failed", {"reason": INTERRUPTED})
 
     def waiting_jobs(self) -> list[str]:
-        """Return the names of the waiting jobs, the next one first."""
-        return [path.stem for path in self._job_files(self._folder)]
+        """Return the names of the waiting jobs, the next one first; at most `MAX_SCANNED`."""
+        return [Path(name).stem for name in self._waiting_names()]
 
     def take_next(self) -> SessionJob | None:
         """Take the next job, which is running from now on; None if no job waits.
 
-        A file that is not a valid job is moved to `failed`, and the next one is read.
+        A file that is not a valid job is moved to `failed`, and the next one is read, unless
+        there are many of them.
         """
-        for path in self._job_files(self._folder):
-            running = self._folder / "running" / path.name
+        rejected_before = self.rejected_count
+        for name in self._waiting_names():
+            if self.rejected_count - rejected_before >= MAX_REJECTED_AT_ONCE:
+                break
+            running = self._folder / "running" / name
             try:
-                path.rename(running)
-                text = _read_regular(running)
-                return parse_job(text, path.name, running)
+                self._move(name, self._inbox_fd, "running")
+                text = _read_regular(name, self._fds["running"])
+                return parse_job(text, name, running)
             except GyrorigError as error:
-                self.rejected_count += 1
-                self._archive(running, "failed", {"reason": str(error)})
+                self._reject(running, str(error))
             except (OSError, ValueError) as error:
-                self.rejected_count += 1
                 error_text = getattr(error, "strerror", None) or error
                 remedy = (
                     "Give the group of the daemon permission to read the file, and enqueue the "
                     "job again."
                 )
-                self._archive(
-                    running,
-                    "failed",
-                    {"reason": f"The file of the job cannot be read ({error_text}). {remedy}"},
+                self._reject(
+                    running, f"The file of the job cannot be read ({error_text}). {remedy}"
                 )
         return None
 
@@ -205,57 +220,136 @@ class JobQueue:
         """Put a job back that was not started."""
         if job.path is not None:
             with contextlib.suppress(OSError):
-                job.path.rename(self._folder / job.path.name)
+                os.rename(
+                    job.path.name,
+                    job.path.name,
+                    src_dir_fd=self._fds["running"],
+                    dst_dir_fd=self._inbox_fd,
+                )
 
-    def _archive(self, path: Path, outcome: str, result: Mapping[str, Any]) -> None:
-        target = self._folder / outcome
+    def close(self) -> None:
+        """Close the folders."""
+        for descriptor in (self._inbox_fd, *self._fds.values()):
+            os.close(descriptor)
+
+    def _open_own_folder(self, name: str) -> int:
+        """Open a folder of the daemon's in the queue, without following a link.
+
+        Raises:
+            OSError: it cannot be opened.
+            MachineError: it is not the daemon's.
+        """
+        with contextlib.suppress(FileExistsError):
+            os.mkdir(name, OWN_FOLDER_MODE, dir_fd=self._inbox_fd)
+        try:
+            descriptor = os.open(name, _FOLDER_FLAGS, dir_fd=self._inbox_fd)
+        except (NotADirectoryError, OSError) as error:
+            if error.errno not in (errno.ELOOP, errno.ENOTDIR):
+                raise
+            raise self._foreign_folder_error(name) from error
+        status, owner = os.fstat(descriptor), os.fstat(self._inbox_fd).st_uid
+        if status.st_uid not in (os.geteuid(), owner):
+            os.close(descriptor)
+            raise self._foreign_folder_error(name)
+        if status.st_mode & 0o022:  # others could exchange its files
+            with contextlib.suppress(PermissionError):
+                os.fchmod(descriptor, stat.S_IMODE(status.st_mode) & ~0o022)
+        return descriptor
+
+    def _foreign_folder_error(self, name: str) -> MachineError:
+        return MachineError(
+            f"{self._folder / name} is not a folder of the daemon",
+            "find out which user has put it there. Then remove it, and start the daemon again",
+        )
+
+    def _waiting_names(self) -> list[str]:
+        """Return the waiting files in order; the folder is read only if it has changed."""
+        mtime_ns = os.fstat(self._inbox_fd).st_mtime_ns
+        if mtime_ns != self._names_mtime_ns:
+            names = _job_names(self._inbox_fd)
+            is_settled = time.time_ns() - mtime_ns > MTIME_STEP_NS
+            self._names, self._names_mtime_ns = names, mtime_ns if is_settled else -1
+        return [name for name in self._names if name not in self._unmovable]
+
+    def _move(self, name: str, source_fd: int, target: str) -> None:
+        try:
+            os.rename(name, name, src_dir_fd=source_fd, dst_dir_fd=self._fds[target])
+        except OSError:
+            if len(self._unmovable) < MAX_SCANNED:
+                self._unmovable.add(name)  # such as the folder of another user
+            raise
+
+    def _reject(self, path: Path, reason: str) -> None:
+        self.rejected_count += 1
+        self._archive(path, "failed", {"reason": reason}, durable=False)
+
+    def _archive(
+        self, path: Path, outcome: str, result: Mapping[str, Any], durable: bool = True
+    ) -> None:
+        target = self._fds[outcome]
         document = {"schema": "gyrorig/job-result/1", "job": path.stem, "result": outcome, **result}
         with contextlib.suppress(OSError):  # on a full disk the job is moved at least
-            write_atomically(
-                target / f"{path.stem}.result.json", json.dumps(document).encode(), mode=RESULT_MODE
-            )
+            _write_in(target, f"{path.stem}.result.json", json.dumps(document).encode(), durable)
         with contextlib.suppress(OSError):
-            path.rename(target / path.name)
-        self._prune_results(target)
-
-    def _prune_results(self, folder: Path) -> None:
-        files = self._job_files(folder)
-        for path in files[: max(0, len(files) - MAX_KEPT_RESULTS)]:
+            os.rename(path.name, path.name, src_dir_fd=self._fds["running"], dst_dir_fd=target)
+        names = _job_names(target)
+        for name in names[: max(0, len(names) - MAX_KEPT_RESULTS)]:
             with contextlib.suppress(OSError):
-                path.unlink()
-                path.with_name(f"{path.stem}.result.json").unlink(missing_ok=True)
-
-    @staticmethod
-    def _job_files(folder: Path) -> list[Path]:
-        try:
-            names = sorted(
-                entry.name
-                for entry in os.scandir(folder)
-                if entry.name.endswith(".yaml") and not entry.name.startswith(".")
-            )
-        except OSError:
-            return []
-        return [folder / name for name in names]
+                os.unlink(name, dir_fd=target)
+                os.unlink(f"{Path(name).stem}.result.json", dir_fd=target)
 
 
-def _read_regular(path: Path) -> bytes:
+_FOLDER_FLAGS = os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_CLOEXEC
+
+
+def _job_names(folder_fd: int) -> list[str]:
+    """Return the names of job files in alphabetical order."""
+    try:
+        with os.scandir(folder_fd) as entries:
+            names = [entry.name for entry in itertools.islice(entries, MAX_SCANNED)]
+    except OSError:
+        return []
+    return sorted(name for name in names if name.endswith(".yaml") and not name.startswith("."))
+
+
+def _write_in(folder_fd: int, name: str, data: bytes, durable: bool) -> None:
+    """Write a file of an opened folder in one step; no link in the folder is followed."""
+    temporary = f".{secrets.token_hex(8)}.new"
+    flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
+    descriptor = os.open(temporary, flags, RESULT_MODE, dir_fd=folder_fd)
+    try:
+        with os.fdopen(descriptor, "wb") as file:
+            file.write(data)
+            file.flush()
+            if durable:
+                os.fsync(file.fileno())
+        os.rename(temporary, name, src_dir_fd=folder_fd, dst_dir_fd=folder_fd)
+    except OSError:
+        os.unlink(temporary, dir_fd=folder_fd)
+        raise
+    if durable:
+        os.fsync(folder_fd)
+
+
+def _read_regular(name: str, folder_fd: int) -> bytes:
     """Return the bytes of a regular file; pipes, devices, links and large files are rejected.
 
     Raises:
         UsageError: the file is one of these.
         OSError: the file cannot be read.
     """
-    descriptor = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC)
+    flags = os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
+    descriptor = os.open(name, flags, dir_fd=folder_fd)
     try:
         status = os.fstat(descriptor)
         if not stat.S_ISREG(status.st_mode):
             raise UsageError(
-                f"the job {path.name} in the queue is not a regular file",
+                f"the job {name} in the queue is not a regular file",
                 "remove the file, and add a motion program with `gyrorigd enqueue`",
             )
         if status.st_size > MAX_JOB_BYTES:
             raise UsageError(
-                f"the job {path.name} in the queue is larger than 1 MB",
+                f"the job {name} in the queue is larger than 1 MB",
                 "remove the file, and add a motion program with `gyrorigd enqueue`",
             )
         data = bytearray()

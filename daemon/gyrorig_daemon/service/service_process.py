@@ -150,9 +150,11 @@ class ServiceProcess:
                 metrics.publish(status)
                 view.show_status(status)
 
+            queue = JobQueue(state_folder.queue)
+            stack.callback(queue.close)
             context = ServiceContext(
                 state_folder=state_folder,
-                queue=JobQueue(state_folder.queue),
+                queue=queue,
                 schedule=Schedule(
                     self._config.config.schedule, state_folder.schedule, time.monotonic()
                 ),

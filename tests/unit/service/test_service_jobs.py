@@ -2,6 +2,7 @@
 
 import json
 import os
+import time
 from pathlib import Path
 
 import pytest
@@ -117,3 +118,100 @@ def test_the_program_is_kept_verbatim(tmp_path: Path) -> None:
     text = b"# by hand: \xc3\xa4 \ttab\nname: 'x'\nsteps:\n  - rest: {seconds: 1.0}\n\n"
     path = enqueue_job(tmp_path, text, "p.yaml")
     assert parse_job(path.read_bytes(), path.name).program_text == text
+
+
+@pytest.mark.parametrize("name", job_queue.FOLDERS)
+def test_a_link_in_place_of_a_folder_is_refused(tmp_path: Path, name: str) -> None:
+    victim = tmp_path / "calibrations"
+    victim.mkdir()
+    (tmp_path / "queue").mkdir()
+    (tmp_path / "queue" / name).symlink_to(victim)
+    with pytest.raises(MachineError, match="is not a folder of the daemon"):
+        JobQueue(tmp_path / "queue")
+    assert list(victim.iterdir()) == []
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="another user needs root")
+def test_the_folder_of_another_user_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "failed").mkdir()
+    os.chown(tmp_path / "failed", 65534, 65534)
+    with pytest.raises(MachineError, match="is not a folder of the daemon"):
+        JobQueue(tmp_path)
+
+
+def test_folders_exchanged_for_links_later_destroy_nothing(tmp_path: Path) -> None:
+    victim, folder = tmp_path / "calibrations", tmp_path / "queue"
+    victim.mkdir()
+    (victim / "v0001.yaml").write_bytes(b"genuine")
+    queue = JobQueue(folder)
+    for name in job_queue.FOLDERS:
+        (folder / name).rename(folder / f"{name}-before")
+        (folder / name).symlink_to(victim)
+    (folder / "v0001.yaml").write_bytes(b"forged")
+    (folder / "w.yaml").write_bytes(PROGRAM)
+    job = queue.take_next()
+    assert job is not None
+    queue.finish(job, True, {"reason": ""})
+    assert [path.name for path in victim.iterdir()] == ["v0001.yaml"]
+    assert (victim / "v0001.yaml").read_bytes() == b"genuine"
+    assert (folder / "failed-before" / "v0001.yaml").exists()
+    assert (folder / "done-before" / "w.result.json").exists()
+
+
+def test_a_result_follows_no_link(tmp_path: Path) -> None:
+    recording = tmp_path / "victim.mcap"
+    recording.write_bytes(b"samples")
+    queue = JobQueue(tmp_path / "queue")
+    (tmp_path / "queue" / "failed" / "z.result.json").symlink_to(recording)
+    (tmp_path / "queue" / "z.yaml").write_bytes(b"[}")
+    assert queue.take_next() is None
+    assert recording.read_bytes() == b"samples"
+    assert reasons(tmp_path / "queue")
+
+
+def test_the_folder_is_sticky_and_its_folders_are_for_the_daemon_alone(tmp_path: Path) -> None:
+    JobQueue(tmp_path / "queue")
+    assert (tmp_path / "queue").stat().st_mode & 0o7777 == 0o3770
+    for name in job_queue.FOLDERS:
+        assert (tmp_path / "queue" / name).stat().st_mode & 0o022 == 0
+
+
+def test_a_great_many_files_cost_little_time(tmp_path: Path) -> None:
+    queue = JobQueue(tmp_path)
+    for number in range(20_000):
+        os.close(os.open(tmp_path / f"x{number:06}.yaml", os.O_CREAT | os.O_WRONLY))
+    time.sleep(0.2)
+    queue.waiting_jobs()
+    begun_s = time.process_time()
+    for _ in range(20):
+        assert len(queue.waiting_jobs()) <= job_queue.MAX_SCANNED
+    assert (time.process_time() - begun_s) / 20 < 0.01  # the event loop waits for it
+    assert queue.take_next() is None
+    assert queue.rejected_count == job_queue.MAX_REJECTED_AT_ONCE
+
+
+def test_a_job_that_comes_right_after_a_look_is_seen(tmp_path: Path) -> None:
+    queue = JobQueue(tmp_path)
+    for number in range(50):
+        (tmp_path / f"{number}.yaml").write_bytes(PROGRAM)
+        assert queue.waiting_jobs() == [f"{number}"]
+        job = queue.take_next()
+        assert job is not None
+        assert queue.waiting_jobs() == []
+        queue.finish(job, True, {})
+
+
+def test_what_cannot_be_moved_is_rejected_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    queue = JobQueue(tmp_path)
+    (tmp_path / "a.yaml").write_bytes(PROGRAM)
+
+    def refuse(*_: object, **__: object) -> None:
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr(os, "rename", refuse)
+    for _ in range(3):
+        assert queue.take_next() is None
+    assert queue.rejected_count == 1
+    assert queue.waiting_jobs() == []
