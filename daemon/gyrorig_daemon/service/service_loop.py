@@ -6,7 +6,8 @@ the pump's thread, between chunks. Requests from other threads are in `ServiceCo
 
 Theory of operation. Between sessions the unit is at standstill, and is polled (`unit_monitor`).
 A session starts when there is no `_blocking_reason`: a motion lock, a unit that is not
-identified, a disk without space, missing boards. `session_runner` runs it. It ends by
+identified, a system time that no recording can hold, a disk without space, missing boards.
+`session_runner` runs it. It ends by
 
     the end of the program  closed, moved to done
     a rejection before it   a person must correct the job: moved to failed
@@ -27,7 +28,7 @@ from gyrorig_daemon.service.job_queue import SessionJob
 from gyrorig_daemon.service.service_context import ServiceContext
 from gyrorig_daemon.service.session_runner import ServiceState, SessionRunner, StatusSummary
 from gyrorig_daemon.service.status_publisher import StatusPublisher
-from gyrorig_daemon.service.system_clock_monitor import SystemClockMonitor
+from gyrorig_daemon.service.system_clock_monitor import SystemClockMonitor, clock_problem
 from gyrorig_daemon.service.unit_monitor import UnitMonitor, UnitPresence, send_initial_halt
 from gyrorig_daemon.service.watchdog import WatchdogTimer
 from gyrorig_daemon.session.connected_rig import Rig
@@ -152,9 +153,12 @@ class ServiceLoop:
         if self.unit_monitor.state is not UnitPresence.STANDS:
             reason = self.unit_monitor.reason or self.unit_monitor.state.value
             return f"pan-tilt unit: {reason}. Check its cable and its power"
-        storage_problem = self._context.housekeeping.storage_problem()
-        if storage_problem:
-            return storage_problem
+        problem = (
+            clock_problem(self._context.clocks.utc_s())
+            or self._context.housekeeping.storage_problem()
+        )
+        if problem:
+            return problem
         missing = [str(board.board_id) for board in self._rig.boards if not board.is_known]
         if not missing:
             self._boards_missing_since_s = None

@@ -184,12 +184,7 @@ class SessionRunner:
         except BaseException as error:
             session.abort_and_close(f"{type(error).__name__}: {error}")
             raise
-        lost_boards = [str(board.board_id) for board in session.boards if not board.is_known]
-        return SessionOutcome(
-            "done",
-            f"board {', '.join(lost_boards)} was missing at the end" if lost_boards else "",
-            path,
-        )
+        return _judge(session, path)
 
     def _handle_refusal(
         self, session: Session, fault: GyrorigError, is_scheduled: bool
@@ -282,6 +277,23 @@ class SessionRunner:
                 self._state.motion_start_s = now_s
             self._state.step_start_s = now_s
             self._state.summary.session.update(step=step, steps=total)
+
+
+def _judge(session: Session, path: Path) -> SessionOutcome:
+    """Return the outcome of a session whose program has ended."""
+    counts = session.recorder.counts
+    if counts.refused and counts.refused >= counts.written:
+        reason = (
+            f"the recorder refused {counts.refused} messages and wrote {counts.written}. Check "
+            "the clock of the computer, and enqueue the job again"
+        )
+        return SessionOutcome("failed", reason, path)
+    lost_boards = [str(board.board_id) for board in session.boards if not board.is_known]
+    return SessionOutcome(
+        "done",
+        f"board {', '.join(lost_boards)} was missing at the end" if lost_boards else "",
+        path,
+    )
 
 
 def _join(*texts: str) -> str:

@@ -6,12 +6,30 @@ start. It is reported as an event.
 """
 
 from collections.abc import Callable
+from datetime import UTC, datetime, timedelta
 
 from gyrorig_daemon.clocks.capture_clock import HostClocks
 
 STEP_THRESHOLD_S = 0.1  # a slew is at most 500 ppm (adjtimex(2)): 0.0005 s between two checks
 CHECK_PERIOD_NS = 1_000_000_000
 NTP_UNSYNCHRONISED = 0x40  # STA_UNSYNC of <linux/timex.h>
+EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
+# Messages have 32-bit seconds (ROS 2 builtin_interfaces/Time). A session can take a week.
+RECORDABLE_S = (0, 2**31 - 1 - 7 * 86_400)
+
+
+def clock_problem(utc_s: float) -> str:
+    """Return why nothing can be recorded at this system time, "" if it can."""
+    first_s, last_s = RECORDABLE_S
+    if first_s <= utc_s <= last_s:
+        return ""
+    date = EPOCH + timedelta(seconds=utc_s)
+    last_date = EPOCH + timedelta(seconds=last_s)
+    return (
+        f"the system time is {date:%Y-%m-%d}, and a recording can begin from {EPOCH:%Y-%m-%d} to "
+        f"{last_date:%Y-%m-%d}. Set the clock of the computer. Sessions then start without "
+        "further action"
+    )
 
 
 class SystemClockMonitor:
