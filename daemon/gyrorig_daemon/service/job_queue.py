@@ -22,6 +22,7 @@ import errno
 import itertools
 import json
 import os
+import re
 import secrets
 import stat
 import time
@@ -55,6 +56,9 @@ OWN_FOLDER_MODE = 0o750
 FOLDERS = ("running", "done", "failed")
 JOB_MODE = 0o660
 RESULT_MODE = 0o640
+
+# C0 and C1 controls, and the separators of lines and paragraphs: a log or a terminal obeys them
+_CONTROLS = re.compile(r"[\x00-\x1f\x7f-\x9f\u2028\u2029]")
 
 ProgramText = Annotated[str, msgspec.Meta(max_length=MAX_JOB_BYTES)]
 
@@ -96,7 +100,7 @@ def enqueue_job(
         UsageError: the program or the session name is invalid.
         MachineError: the file cannot be written.
     """
-    program = parse_program(program_text, name)
+    program = _parse_safe_program(program_text, name)
     validate_session_name(session)
     document = {"schema": SCHEMA, "program": program_text.decode("utf-8"), "home": home}
     if session is not None:
@@ -128,6 +132,21 @@ def validate_session_name(session: str | None) -> None:
         raise UsageError(f"the session name {session!r:.50} is not valid", error.remedy) from error
 
 
+def _parse_safe_program(text: bytes, name: str) -> MotionProgram:
+    """Return a program whose name can be logged and shown.
+
+    Raises:
+        UsageError: the program is invalid, or its name has control characters.
+    """
+    program = parse_program(text, name)
+    if _CONTROLS.search(program.name):
+        raise UsageError(
+            f"the name in the motion program {name} has control characters",
+            "write a name of letters, digits, spaces and dashes",
+        )
+    return program
+
+
 def parse_job(text: bytes, name: str, path: Path | None = None) -> SessionJob:
     """Return the job that a document describes.
 
@@ -146,7 +165,7 @@ def parse_job(text: bytes, name: str, path: Path | None = None) -> SessionJob:
         job_document = convert_document(document, JobDocument, name)
     validate_session_name(job_document.session)
     program_text = job_document.program.encode()
-    program = parse_program(program_text, name)
+    program = _parse_safe_program(program_text, name)
     session = job_document.session or secrets.token_hex(4)
     return SessionJob(Path(name).stem, program, program_text, session, job_document.home, path)
 

@@ -133,7 +133,8 @@ def _range_deg(angle_rad: np.ndarray) -> tuple[float, float]:
 
 
 def _board_health(recording: Recording, board: BoardId) -> BoardHealth:
-    sensor = recording.metadata.get(f"gyrorig.board.{board}", {}).get("sensor", "")
+    metadata = recording.metadata.get(f"gyrorig.board.{board}", {})
+    sensor = " ".join(metadata.get("sensor", "").split())  # untrusted: no line breaks
     try:
         samples = load_samples(recording, board)
     except GyrorigError as fault:

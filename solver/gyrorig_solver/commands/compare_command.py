@@ -40,7 +40,7 @@ def compare_command(terminal: Terminal, calibration: Path, reference: Path) -> i
     """
     document, _ = read_calibration(calibration)
     rows, column = _compare(document, reference)
-    terminal.print_result(f"{document.board.id}, {document.board.sensor}")
+    terminal.print_result(f"{document.board.id}, {' '.join(document.board.sensor.split())}")
     terminal.print_result(comparison_table(rows, column))
     terminal.print_result(comparison_summary(rows))
     code = NOT_IDENTIFIABLE if any(row.estimate is None for row in rows) else 0

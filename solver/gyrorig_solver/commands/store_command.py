@@ -318,7 +318,8 @@ def _cell_text(value: Any) -> str:
         return f"{value:.6g}"
     if isinstance(value, datetime):
         return f"{value:%Y-%m-%d %H:%M}"
-    return ", ".join(value) if isinstance(value, list) else str(value)
+    text = ", ".join(value) if isinstance(value, list) else str(value)
+    return " ".join(text.split())  # a name in a recording is untrusted, and a row is one line
 
 
 def _json_value(value: Any) -> Any:

@@ -46,20 +46,20 @@ def test_lines_in_order() -> None:
 
 def test_a_full_pipe_drops_and_counts(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(line_writer, "CLOSE_TIMEOUT_S", 0.05)
-    told: list[None] = []
-    writer = LineWriter(lambda: told.append(None))
+    drops: list[None] = []
+    writer = LineWriter(lambda: drops.append(None))
     text = ""
     with stderr_pipe() as pipe:
         begun_s = time.monotonic()
         for _ in range(5_000):
             writer.write_line("x" * 200)  # the pipe holds 64 kB
         assert time.monotonic() - begun_s < 5.0
-        assert writer.dropped == len(told) > 3_000
+        assert writer.dropped == len(drops) > 3_000
         writer.close()  # does not wait for ever
         while select.select([pipe], [], [], 1.0)[0]:
             text += os.read(pipe, 65_536).decode()
-    told_lost = re.findall(r"^(\d+) lines are missing here", text, re.MULTILINE)
-    assert sum(map(int, told_lost)) == writer.dropped
+    reported_lost = re.findall(r"^(\d+) lines are missing here", text, re.MULTILINE)
+    assert sum(map(int, reported_lost)) == writer.dropped
 
 
 def test_no_standard_error(monkeypatch: pytest.MonkeyPatch) -> None:

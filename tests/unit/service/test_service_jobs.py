@@ -215,3 +215,14 @@ def test_what_cannot_be_moved_is_rejected_once(
         assert queue.take_next() is None
     assert queue.rejected_count == 1
     assert queue.waiting_jobs() == []
+
+
+@pytest.mark.parametrize("name", ["a\\x1b[2J", "two\\nlines", "\\u009b31m"])
+def test_a_name_with_control_characters_is_rejected(tmp_path: Path, name: str) -> None:
+    text = f'name: "{name}"\nsteps:\n  - rest: {{seconds: 1.0}}\n'.encode()
+    with pytest.raises(UsageError, match="control characters"):
+        enqueue_job(tmp_path, text, "p.yaml")
+    queue = JobQueue(tmp_path)
+    (tmp_path / "p.yaml").write_bytes(text)
+    assert queue.take_next() is None
+    assert "control characters" in reasons(tmp_path)[0]
