@@ -9,7 +9,7 @@ import sys
 import threading
 import time
 import tty
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -86,6 +86,43 @@ def flooding_board(service: Service) -> Iterator[None]:
         flood.wait()
         os.close(screen)
         os.close(line)
+
+
+@contextmanager
+def connections_of_another_user(uid: int, path: Path) -> Iterator[None]:
+    """Let another user open more connections to a socket than it may; needs root."""
+    script = (
+        "import socket, sys, time\n"
+        "held = []\n"
+        "for _ in range(40):\n"
+        "    held.append(socket.socket(socket.AF_UNIX))\n"
+        "    held[-1].connect(sys.argv[1])\n"
+        "print('held', flush=True)\n"
+        "time.sleep(600)\n"
+    )
+    holder = subprocess.Popen(
+        ["/usr/bin/env", "python3", "-c", script, path],
+        user=uid,
+        group=uid,
+        extra_groups=[],
+        cwd="/",
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+    try:
+        if holder.stdout is None or holder.stdout.readline() != "held\n":
+            raise RuntimeError("the other user could not connect")
+        yield
+    finally:
+        holder.kill()
+        holder.communicate()
+
+
+def make_unit_say(devices: Devices, answer: Callable[[bytes], bytes]) -> None:
+    """Replace what the unit says from now on; what it is told still reaches it."""
+    line = devices.server._ptys["ptu"]
+    write = line.write
+    line.write = lambda data: write(answer(data))  # type: ignore[method-assign]
 
 
 def set_in_motion(service: Service, devices: Devices) -> None:

@@ -4,7 +4,6 @@ import json
 import os
 import socket
 import struct
-import subprocess
 import tempfile
 import threading
 import time
@@ -13,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from tests.support.halt_trials import connections_of_another_user
 
 from gyrorig_daemon.service import status_server as server_module
 from gyrorig_daemon.service.service_client import (
@@ -238,36 +238,14 @@ def test_a_byte_now_and_then_keeps_no_connection(
                 break
 
 
-def run_as(uid: int, path: Path, script: str) -> subprocess.Popen[str]:
-    """Run Python as another user, with the path of the socket as its argument."""
-    return subprocess.Popen(
-        ["/usr/bin/env", "python3", "-c", script, str(path)],
-        user=uid, group=uid, extra_groups=[], cwd="/",
-        stdout=subprocess.PIPE, text=True,
-    )  # fmt: skip
-
-
 @pytest.mark.skipif(os.geteuid() != 0, reason="another user needs root")
 def test_root_is_served_while_another_user_holds_every_connection(served: ServedSocket) -> None:
     served.path.parent.chmod(0o755)
     served.path.chmod(0o666)
-    holder = run_as(
-        65534,
-        served.path,
-        "import socket, sys, time\nheld = []\n"
-        "for _ in range(40):\n"
-        "    s = socket.socket(socket.AF_UNIX); s.connect(sys.argv[1]); held.append(s)\n"
-        "print('held', flush=True); time.sleep(60)\n",
-    )
-    try:
-        assert holder.stdout is not None
-        assert holder.stdout.readline() == "held\n"
+    with connections_of_another_user(65534, served.path):
         wait_for(lambda: served.counts.clients_refused >= 40 - server_module.MAX_USER_CLIENTS)
         for command in ("halt", "clear", "status"):
             assert send_command(served.path, command)["ok"]
-    finally:
-        holder.kill()
-        holder.communicate()
 
 
 def test_a_socket_of_a_daemon_that_lives_and_of_one_that_died(served: ServedSocket) -> None:
