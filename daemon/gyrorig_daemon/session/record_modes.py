@@ -41,7 +41,6 @@ from gyrorig_daemon.session.session_environment import (
 from gyrorig_protocol.errors import DeviceError, MachineError, UsageError, sentence
 
 POWER_UP_NS = 5_000_000_000  # power-up of a simulated rig, by the rig's raw clock
-HALT_COMMAND = " H "  # of Directed Perception units; the first space ends a truncated command
 
 
 def _ignore_commitment(_sha256: str) -> None:
@@ -241,11 +240,10 @@ def make_port_settings(config: RigConfig, paths: dict[str, str]) -> dict[str, Po
 
 
 def _halt_text(config: RigConfig) -> str:
-    """Return what stops the unit in any state, in the words of its driver."""
+    """Return what stops the unit in any state, in the language of its driver."""
     entry = find_driver(config.ptu.driver)
-    if entry.language is None:
-        return HALT_COMMAND
-    return entry.language(config.ptu).halt_bytes.decode("ascii")
+    halt = entry.halt_bytes if entry.language is None else entry.language(config.ptu).halt_bytes
+    return halt.decode("latin-1")
 
 
 def serve_emulated_rig(

@@ -4,6 +4,7 @@ The drivers are those of the package and of the pages that show how to write one
 a driver in $GYRORIG_DRIVER, only this driver is tested.
 """
 
+import json
 import os
 import random
 import re
@@ -12,13 +13,14 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import suppress
+from dataclasses import asdict
 from pathlib import Path
 
 import pytest
 
 from gyrorig_daemon.cli import run as gyrorigd
 from gyrorig_daemon.clocks.capture_clock import CaptureClock
-from gyrorig_daemon.config import PtuPort, parse_rig
+from gyrorig_daemon.config import PTU_PORT, PtuPort, parse_rig
 from gyrorig_daemon.doctor.finding import Level
 from gyrorig_daemon.doctor.port_session import open_for_check
 from gyrorig_daemon.doctor.unit_check import check_unit
@@ -26,6 +28,8 @@ from gyrorig_daemon.emulator.emulated_rig import EmulatedRig
 from gyrorig_daemon.emulator.pty_server import PtyServer, raw_now_ns
 from gyrorig_daemon.emulator.virtual_hub import VirtualHub
 from gyrorig_daemon.links.ports.port_hub import Chunk
+from gyrorig_daemon.links.ports.port_kinds import PortSettings
+from gyrorig_daemon.links.ports.supervised_port import SupervisedPort
 from gyrorig_daemon.links.pump import StopFlag
 from gyrorig_daemon.motion import (
     AxisTarget,
@@ -41,6 +45,7 @@ from gyrorig_daemon.motion import (
 )
 from gyrorig_daemon.session.connected_rig import Rig
 from gyrorig_daemon.session.emulator_process import emulated_rig_settings
+from gyrorig_daemon.session.record_modes import make_port_settings
 from gyrorig_protocol.errors import DeviceError
 from gyrorig_protocol.motion_orders import OrderKind
 from gyrorig_protocol.program import PtuSettings, parse_program
@@ -259,6 +264,15 @@ def test_the_halt_bytes_stop_the_unit_after_any_part_of_a_command(bench: Bench) 
         bench.hub.write("ptu", bench.driver.halt_bytes)
         bench.wait(STOPS_WITHIN_S)
         assert not bench.turns(), f"the unit turns after {part!r} and the halt bytes"
+
+
+def test_the_acquisition_process_halts_the_unit_in_its_language(bench: Bench) -> None:
+    bench.start(bench.open())
+    settings = make_port_settings(bench.rig.config, {PTU_PORT: "/dev/none"})[PTU_PORT]
+    sent = SupervisedPort(0, PortSettings(**json.loads(json.dumps(asdict(settings)))))
+    bench.hub.write(PTU_PORT, sent.final_command)
+    bench.wait(STOPS_WITHIN_S)
+    assert not bench.turns()
 
 
 def test_lost_commands_and_replies_move_nothing_wrongly(

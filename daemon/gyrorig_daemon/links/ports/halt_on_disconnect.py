@@ -23,7 +23,7 @@ def send_final_command(path: str, baud: int, final_command: str) -> bool:
     with contextlib.suppress(PortRefusedError, OSError):
         fd = open_port(path, baud)
         try:
-            os.write(fd, final_command.encode("ascii"))
+            os.write(fd, final_command.encode("latin-1"))
             return _wait_for_answer(fd)
         finally:
             os.close(fd)

@@ -26,7 +26,11 @@ SELF_TIMESTAMPED_KINDS = frozenset({"can"})  # their bytes contain the time of e
 
 @dataclass(frozen=True, slots=True)
 class PortSettings:
-    """How to open one port. `final_command` is sent to it if the daemon dies."""
+    """How to open one port.
+
+    `final_command` is sent to it if the daemon dies: one character per byte, because it passes
+    through JSON.
+    """
 
     path: str
     baud: int

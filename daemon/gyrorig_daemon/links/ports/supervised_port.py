@@ -58,7 +58,7 @@ class SupervisedPort:
     @property
     def final_command(self) -> bytes:
         """What to send when the daemon is gone."""
-        return self.settings.final_command.encode("ascii")
+        return self.settings.final_command.encode("latin-1")
 
     @property
     def is_urgent(self) -> bool:
