@@ -8,6 +8,7 @@ from tests.support.halt_trials import (
     XOFF,
     flooding_board,
     hanging_disk,
+    make_unit_say,
     prepare_hang,
     set_in_motion,
     terminal,
@@ -18,6 +19,7 @@ from gyrorig_daemon.emulator.pty_server import raw_now_ns
 from gyrorig_daemon.service.service_client import send_command
 
 ORDERED_S = 0.5  # bound of a halt that a person or systemd orders
+UNIT_S = 10.0  # bound of the halt of a unit whose replies are missing or wrong
 SILENCE_S = 3.0  # of the daemon, after which the acquisition process halts the unit
 
 
@@ -40,6 +42,9 @@ def test_a_terminal_that_takes_nothing_delays_no_halt(
 
 
 def test_a_stopped_daemon_loses_its_unit(service: Service, devices: Devices) -> None:
+    service.config.write_text(
+        service.sane.replace("board_patience", "aftermath_s: 5, board_patience")
+    )
     process = service.start_ready()
     set_in_motion(service, devices)
     begun_ns = raw_now_ns()
@@ -87,3 +92,34 @@ def test_a_board_that_floods_delays_no_halt(service: Service, devices: Devices) 
         status = service.status()
     assert status["counts"]["motion_faults"] == 0
     assert status["boards"][0]["counts"]["missing"] == 0
+
+
+@pytest.mark.parametrize("victim", ["daemon", "acquisition"])
+def test_a_death_halts_the_unit(service: Service, devices: Devices, victim: str) -> None:
+    process = service.start_ready()
+    set_in_motion(service, devices)
+    (child,) = service.children()
+    begun_ns = raw_now_ns()
+    os.kill(process.pid if victim == "daemon" else child, signal.SIGKILL)
+    assert devices.halt_after_s(begun_ns, 10.0) < ORDERED_S
+
+
+@pytest.mark.parametrize("noise", [b"", b"\xa5"])
+def test_a_unit_that_says_nothing_right_is_halted(
+    service: Service, devices: Devices, noise: bytes
+) -> None:
+    service.start_ready()
+    set_in_motion(service, devices)
+    begun_ns = raw_now_ns()
+    make_unit_say(devices, lambda data: noise * len(data))
+    assert devices.halt_after_s(begun_ns, 2 * UNIT_S) < UNIT_S
+
+
+def test_a_queue_of_very_many_files_delays_no_halt(service: Service, devices: Devices) -> None:
+    service.start_ready()
+    set_in_motion(service, devices)
+    for number in range(5_000):
+        (service.state / "queue" / f"x{number}.yaml").touch()
+    begun_ns = raw_now_ns()
+    send_command(service.socket, "halt")
+    assert devices.halt_after_s(begun_ns, 10.0) < ORDERED_S
