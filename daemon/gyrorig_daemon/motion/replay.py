@@ -87,6 +87,18 @@ class ReplayExecutor:
         self._phases = phases
         self._poll_ns = _LONGEST_POLL_NS // 2
 
+    @staticmethod
+    def wait(pump: Pump, motion: RecordedMotion | None, begin_ns: int | None) -> None:
+        """Wait until a recording must begin that has as much time before its program.
+
+        Args:
+            pump: of the session.
+            motion: what will be replayed; None: do not wait.
+            begin_ns: see `run`.
+        """
+        if motion is not None and begin_ns is not None:
+            pump.run_until(begin_ns - motion.lead_ns)
+
     def run(self, motion: RecordedMotion, begin_ns: int | None = None) -> None:
         """Send the orders of `plan_replay` at their times.
 

@@ -156,11 +156,11 @@ class Session:
         unit = open_unit(self._driver, settings, homing)
         self._unit = unit
         self._log.set_unit(unit.facts)
-        poller = PositionPoller(unit, ptu.poll.rate_hz, self._log.record_position)
+        self._poller = poller = PositionPoller(unit, ptu.poll.rate_hz, self._log.record_position)
         start = poller.read_positions()
-        self._poller = poller
         self._steps = plan_program(request.program, unit.facts, ptu.limits, start)
         self._replay = request.replay and plan_replay(request.replay, unit.facts, ptu.limits)
+        ReplayExecutor.wait(self._pump, self._replay, self._environment.program_begin_ns)
         self.recorder.open(self._describe_recording(unit))
         self._open_ns = self._pump.now_ns()
         self._sample_counts.clear()

@@ -82,6 +82,18 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Recording:
     return record(folder, "--program", str(program), "--seed", "4", "--session-seed", "1")
 
 
+def test_a_replay_is_as_long_as_its_recording(recorded: Recording, tmp_path: Path) -> None:
+    """The same time before the first move and after the last one, within two samples."""
+    again = record(tmp_path, "--replay", str(recorded.path), "--seed", "4", "--session-seed", "3")
+    spans = []
+    for recording in (recorded, again):
+        sample_s = recording.imu_field(recording.board_ids[0], "host_time") * 1e-9
+        orders = recording.motion_orders()
+        first_move_s = times_ns(orders["request_time"])[orders["kind"] == 0][0] * 1e-9
+        spans.append([first_move_s - sample_s[0], sample_s[-1] - first_move_s])
+    assert spans[1] == pytest.approx(spans[0], abs=0.02)
+
+
 def test_a_replay_gives_the_same_motion(recorded: Recording, tmp_path: Path) -> None:
     again = record(tmp_path, "--replay", str(recorded.path), "--seed", "4", "--session-seed", "2")
     first, second = Motion.of(recorded), Motion.of(again)
