@@ -22,6 +22,7 @@ from gyrorig_solver.estimate import (
     unit_densities,
 )
 from gyrorig_solver.pipeline import BoardData, CriticisedFit
+from gyrorig_solver.twin.joint_covariance import session_wander_rad_s
 from gyrorig_solver.twin.quantities import matrix, scalar, vector
 
 PROCESSES = 3  # white noise, flicker, random walk
@@ -48,7 +49,7 @@ def measure_board(data: BoardData, criticised: CriticisedFit) -> TwinBoard:
     is_known = np.isfinite(fit.gain)
     deviations = np.where(is_known, fit.gain_std, PRIOR_STD["gain"])
     stds = np.array([fit.std.get(f"bias.{axis}", math.nan) for axis in "xyz"])
-    bias = vector(fit.bias_rad_s, stds, "rad/s")
+    bias = vector(fit.bias_rad_s, np.hypot(stds, session_wander_rad_s(criticised)), "rad/s")
     white, flicker, walk = _noise_levels(criticised)
     full_scale_dps = positive_number(samples.metadata, "gyro_full_scale_dps")
     stamp_jitter = _measure_stamp_jitter(recording, samples)

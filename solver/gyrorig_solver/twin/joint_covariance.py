@@ -8,9 +8,10 @@ The time offset of a board and the start delay of the unit have one constant unc
 opposite signs, because only their sum shows in the data. The covariance here is that with the
 start delay as stated, so that a draw keeps the sum.
 
-What to use when: `join_covariances`.
+What to use when: `join_covariances`; `session_wander_rad_s` for the uncertainty of a bias.
 """
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -75,12 +76,30 @@ def board_covariance(
     fit = criticised.fit
     names, jacobian = _twin_names(board, fit, collected.places.get(board, {}))
     covariance = jacobian @ fit.covariance @ jacobian.T
+    wander_rad_s = session_wander_rad_s(criticised)
+    for k, name in enumerate(names):
+        if name.startswith(f"boards.{board}.bias."):
+            covariance[k, k] += wander_rad_s[int(name[-1])] ** 2
     offset = f"boards.{board}.time_offset"
     if offset in names and criticised.solution is not None:
         k = names.index(offset)
         variance_s2 = covariance[k, k] - _common_variance_s2(criticised.solution)
         covariance[k, k] = max(variance_s2, MIN_OFFSET_STD_S**2)
     return NamedCovariance(names, (covariance + covariance.T) / 2.0)
+
+
+def session_wander_rad_s(criticised: CriticisedFit) -> FloatArray:
+    """Return the scatter of the mean bias of a session around that at power-up, shape (3,).
+
+    The fit states the mean bias of its recording, and the emulated rig begins each session at its
+    bias at power-up. Flicker adds about its coefficient, and a random walk its growth during the
+    recording.
+    """
+    noise, solution = criticised.fit.noise, criticised.solution
+    if noise is None or solution is None:
+        return np.zeros(3)
+    duration_s = 0.5 / float(solution.spectra[-1].frequency_hz.min())
+    return np.hypot(noise.bias_instability, noise.rate_random_walk * math.sqrt(duration_s))
 
 
 def _twin_names(

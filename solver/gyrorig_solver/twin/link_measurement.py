@@ -18,7 +18,7 @@ from gyrorig_protocol.board_protocols import SerialProtocol, find_protocol
 from gyrorig_protocol.errors import GyrorigError
 from gyrorig_protocol.identity import BoardId
 from gyrorig_protocol.recording.recording import RecordArray, times_ns
-from gyrorig_protocol.twin import Scalar, TwinLink
+from gyrorig_protocol.twin import Scalar, Source, TwinLink
 from gyrorig_solver.data import BoolArray, FloatArray
 from gyrorig_solver.data.metadata_numbers import positive_number
 from gyrorig_solver.data.samples import GyroSamples
@@ -30,6 +30,9 @@ MIN_PINGS = 50  # fewer exchanges have no latency near the floor
 STALL_FACTOR = 15.0  # times the mean jitter: an exponential exceeds it once in 3e6 samples
 QUEUE_SHARE = 0.02  # of the jitter, by frames that wait for other frames on the line
 USUAL_FLOORS_S = 110e-6  # of writing and reading together, where nothing determines them
+MIN_STALLS = 8  # fewer do not determine the shortest and the longest one
+USUAL_STALLS_S = (5e-3, 0.2)  # shortest and longest stall of a busy computer
+USUAL_STALLS_STD = 0.25  # of the longest one, relative
 SAME_STALL_S = 0.02  # within this time all ports have been served after a stall
 
 
@@ -52,28 +55,34 @@ class Latency:
 
     @property
     def stall_interval_s(self) -> tuple[float, float]:
-        """Mean time from a stall to the next one, and its uncertainty; 0 without stalls."""
+        """Mean time from a stall to the next one, and its uncertainty.
+
+        Without stalls the time is 0 and its uncertainty the time of the recordings.
+        """
         count = len(self.stalls)
         if count == 0:
-            return 0.0, math.nan
+            return 0.0, self.span_s
         running_s = self.span_s - sum(stall.length_s for stall in self.stalls)
         return running_s / count, running_s / count / math.sqrt(count)
 
     @property
-    def stall_range_s(self) -> tuple[float, float, float] | None:
-        """Shortest and longest stall, and the uncertainty of both; None without stalls.
+    def stall_range_s(self) -> tuple[float, float, float, float] | None:
+        """Shortest and longest stall, and the uncertainty of each; None without stalls.
 
         The ends of a uniform distribution are estimated from the extremes of n lengths: each is
-        one n-th of the range inside.
+        one n-th of the range inside. Few lengths do not determine the ends, which are then the
+        usual ones or the extremes.
         """
         lengths = [stall.length_s for stall in self.stalls]
         if not lengths:
             return None
         low, high = min(lengths), max(lengths)
-        if len(lengths) == 1:
-            return low / 2.0, 1.5 * high, high / 2.0
+        if len(lengths) < MIN_STALLS:
+            shortest_s, longest_s = min(low, USUAL_STALLS_S[0]), max(high, USUAL_STALLS_S[1])
+            return shortest_s, longest_s, shortest_s, USUAL_STALLS_STD * longest_s
         margin = (high - low) / (len(lengths) - 1)
-        return max(low - margin, 0.0), high + margin, max(margin, 1e-3)
+        std_s = max(margin, 1e-3)
+        return max(low - margin, 0.0), high + margin, std_s, std_s
 
 
 @dataclass(frozen=True, slots=True)
@@ -287,9 +296,10 @@ def _section(latency: Latency | None, floor: HostFloor | None) -> TwinLink:
         values["stall_interval"] = scalar(interval_s, interval_std_s, "s")
         stall_range = latency.stall_range_s
         if stall_range is not None:
-            shortest_s, longest_s, range_std_s = stall_range
-            values["stall_shortest"] = scalar(shortest_s, range_std_s, "s")
-            values["stall_longest"] = scalar(longest_s, range_std_s, "s")
+            shortest_s, longest_s, shortest_std_s, longest_std_s = stall_range
+            source: Source = "recording" if len(latency.stalls) >= MIN_STALLS else "default"
+            values["stall_shortest"] = scalar(shortest_s, shortest_std_s, "s", source)
+            values["stall_longest"] = scalar(longest_s, longest_std_s, "s", source)
     if floor is not None:
         values["floor"] = scalar(floor.floor_s, floor.std_s, "s")
         values["write_floor"] = scalar(floor.floor_s, floor.std_s, "s")

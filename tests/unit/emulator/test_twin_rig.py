@@ -173,6 +173,17 @@ def test_draws_follow_the_posterior_and_are_reproducible() -> None:
     assert unchanged == twin.boards["GY80-1"].gain.value[0][0]
 
 
+def test_the_interval_of_stalls_is_drawn_from_their_count() -> None:
+    """No stall in 60 s leaves a rate of 0.5 per 60 s on average; 9 stalls in 180 s give 9.5."""
+    for value, std, mean_rate_hz in ((0.0, 60.0, 0.5 / 60.0), (20.0, 20.0 / 3.0, 9.5 / 180.0)):
+        plain = plain_twin("warm_up")
+        plain["link"] = {"stall_interval": {"value": value, "std": std, "unit": "s"}}
+        twin = twin_of(plain)
+        intervals = [draw_twin(twin, number).link.stall_interval for number in range(1, 2001)]
+        rates_hz = [1.0 / interval.value for interval in intervals if interval is not None]
+        assert np.mean(rates_hz) == pytest.approx(mean_rate_hz, rel=0.1)
+
+
 def test_a_rig_file_with_a_twin_is_read() -> None:
     import yaml  # noqa: PLC0415
 

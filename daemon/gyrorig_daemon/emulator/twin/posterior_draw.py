@@ -17,6 +17,7 @@ _NOT_NEGATIVE = frozenset(
     }
 )  # fmt: skip
 _SMALLEST_SHARE = 0.1  # of the best value, for values that are not negative
+_STALL_INTERVAL = "link.stall_interval"
 
 
 def draw_twin(twin: Twin, number: int) -> Twin:
@@ -40,9 +41,27 @@ def draw_twin(twin: Twin, number: int) -> Twin:
             _add(plain, path, deviation)
     for path, std in _single_values(twin):
         deviation = std * float(rng.standard_normal())  # always, so that draws stay comparable
-        if path not in joint:
+        if path == _STALL_INTERVAL:
+            plain["link"]["stall_interval"]["value"] = _draw_interval(twin, number)
+        elif path not in joint:
             _add(plain, path, deviation)
     return msgspec.convert(plain, Twin)
+
+
+def _draw_interval(twin: Twin, number: int) -> float:
+    """Return a mean time between stalls, from the posterior of a Poisson process.
+
+    A count k of stalls in a time T gives the value T / k and its deviation T / k^1.5. Without
+    stalls the value is 0 and the deviation is T. The rate has a gamma distribution with the shape
+    k + 1/2. Source: H. Jeffreys, "Theory of Probability", 3rd ed., 1961, section 3.1.
+    """
+    interval = twin.link.stall_interval
+    if interval is None or not interval.std:
+        return 0.0 if interval is None else interval.value
+    rng = np.random.default_rng([number, _DRAW_STREAM, 1])
+    count = (interval.value / interval.std) ** 2
+    observed_s = interval.value * count if count else interval.std
+    return float(observed_s / max(rng.gamma(count + 0.5), 1e-9))
 
 
 def _correlated(covariance: np.ndarray, rng: np.random.Generator) -> np.ndarray:
