@@ -25,16 +25,23 @@ from gyrorig_solver.twin_check.recording_check import check_board
 from gyrorig_solver.twin_check.simulation import Simulator, run_draws
 
 ROOT = Path(__file__).resolve().parents[2]
+SHORT = Path(__file__).with_name("short_program.yaml")
 BIN = Path(sys.executable).parent
 LOWEST_P = 0.01  # of the test that p-values are uniform
 LIMIT = 0.01  # false alarms of one session
+
+
+def program_file(name: str) -> Path:
+    """Return a program of `config/programs` by its name, or the file of that path."""
+    path = Path(name)
+    return path if path.suffix == ".yaml" else ROOT / "config" / "programs" / f"{name}.yaml"
 
 
 def record(folder: Path, seed: int, program: str, session_seed: int) -> Path:
     """Record the rig of a seed; return the recording."""
     words: list[str | Path] = [BIN / "gyrorigd", "record", "--simulated-time", "--json"]
     words += ["--config", ROOT / "config" / "rig.yaml", "--seed", str(seed)]
-    words += ["--program", ROOT / "config" / "programs" / f"{program}.yaml"]
+    words += ["--program", program_file(program)]
     words += ["--session-seed", str(session_seed), "--out", folder]
     recorded = subprocess.run(list(map(str, words)), check=True, capture_output=True, text=True)
     return Path(json.loads(recorded.stdout)["recording"])
@@ -68,6 +75,10 @@ def report(rows: list[dict[str, Any]]) -> bool:
     for row in rows:
         for key, p_value in row["statistics"].items():
             by_key.setdefault(key, []).append(p_value)
+    constant = [key for key, values in by_key.items() if min(values) == max(values) == 1.0]
+    for key in constant:
+        print(f"{key}: equal in all draws and in the measurement, p = 1, in each session")
+        del by_key[key]
     print(f"{len(rows)} sessions of {rows[0]['draws']} draws")
     print("statistic          n  mean p  KS distance  KS p     smallest p")
     for key, values in by_key.items():
@@ -110,7 +121,7 @@ def main() -> int:
     parser.add_argument("--first-seed", type=int, default=5001)
     parser.add_argument("--draws", type=int, default=20)
     parser.add_argument("--fitted", default="survey-40", help="program of the twin's recording")
-    parser.add_argument("--program", default="quick", help="program of the checked recording")
+    parser.add_argument("--program", default=str(SHORT), help="program of the checked recording")
     options = parser.parse_args()
     rows = read_rows(options.results)
     seeds = range(options.first_seed, options.first_seed + options.sessions)

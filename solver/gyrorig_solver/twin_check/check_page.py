@@ -3,6 +3,7 @@
 What to use when: `render_check` for the text, which the caller writes.
 """
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -32,12 +33,17 @@ from gyrorig_solver.twin_check.check_wording import (
 )
 from gyrorig_solver.twin_check.feature_comparison import FamilyComparison
 from gyrorig_solver.twin_check.recording_check import BoardCheck
-from gyrorig_solver.twin_check.session_features import SENSOR_AXES
+from gyrorig_solver.twin_check.session_features import CLOCK_S, SENSOR_AXES
 from gyrorig_solver.twin_check.twin_folder_check import TwinCheck
 
 OVERLAY_S = 3.0  # of a close-up of moves
 BAND_SIGMA = 2.0
-NOT_DRAWN = ("clock", "latency", "jitter", "answer_time", "speed", "start_delay", "rest_position")
+TIMING = {
+    "latency": "latency above the smallest, ms",
+    "jitter": "interval of arrivals, ms",
+    "answer_time": "answer of the unit, ms",
+}
+NOT_DRAWN = ("bias", "clock", *TIMING, "stalls", "speed", "start_delay", "rest_position")
 
 
 def render_check(check: TwinCheck) -> str:
@@ -52,7 +58,10 @@ def render_check(check: TwinCheck) -> str:
         "manager": manager_text(check),
         "gain": gain_text(check),
         "causes": cause_texts(check.twin),
-        "sections": [_section(board) for board in check.boards],
+        "sections": [
+            _section(board)
+            for board in sorted(check.boards, key=lambda board: not board.is_held_out)
+        ],
         "draws": check.draws,
     }
     return fill_template("twin_check.html.j2", view)
@@ -95,6 +104,7 @@ def _section(board: BoardCheck) -> dict[str, Any]:
             [(board.before.residual_rad_s, BEFORE), (board.after.residual_rad_s, None)],
             4.6,
         ),
+        "timing": _timing_figure(board.after.comparisons),
         "figures": [
             {"svg": _family_figure(comparison), "words": comparison.family.title.capitalize()}
             for comparison in board.after.comparisons
@@ -153,6 +163,31 @@ def _close_up(board: BoardCheck) -> str:
         panel.ylabel = f"{SENSOR_AXES[axis]}  deg/s"
         panel.has_key = axis == 0
     panels[-1].xlabel = "time, s"
+    return figure.svg()
+
+
+def _timing_figure(comparisons: Sequence[FamilyComparison]) -> str:
+    """Draw the distributions of latencies, and the changes of the board's clock."""
+    known = by_key(comparisons)
+    drawn = [key for key in (*TIMING, "clock") if key in known]
+    if not drawn:
+        return ""
+    figure, panels = stacked_panels(len(drawn), 1.5 * len(drawn))
+    for key, panel in zip(drawn, panels, strict=True):
+        comparison = known[key]
+        x, values = comparison.family.x, comparison.family.values
+        rows = slice(None)
+        if key == "clock":  # the first value is the skew, which is much larger than its changes
+            x, rows = np.log10(CLOCK_S[: values.size - 1]), slice(1, None)
+            if not x.size:
+                continue
+        mean, spread = comparison.mean[rows], BAND_SIGMA * comparison.std[rows]
+        panel.band(x, mean - spread, mean + spread, colour="var(--band)")
+        panel.plot(x, mean, colour=SOFT, linewidth=1.0, linestyle="--", label="twin")
+        panel.plot(x, values[rows], colour=INK, linewidth=0.0, markersize=5.0, label="measured")
+        panel.ylabel = TIMING.get(key, "change of the clock, ppm")
+        panel.xlabel = "log10 of the time between changes, s" if key == "clock" else "quantile"
+        panel.has_key = key == drawn[0]
     return figure.svg()
 
 

@@ -18,6 +18,12 @@ from gyrorig_solver.twin_check.twin_folder_check import TwinCheck
 FALSE_ALARM = 0.01  # of comparison board in comparison recording, all statistics together
 
 
+FITTED_NOTE = (
+    "The twin was fitted to this recording, so the p-values are too large. Check a new recording "
+    "to test the twin."
+)
+
+
 def level(stage: StageCheck) -> float:
     """Return the limit of a p-value (Bonferroni). The density is one statistic, too."""
     return FALSE_ALARM / (len(stage.comparisons) + 1)
@@ -149,10 +155,11 @@ def verdict_text(board: BoardCheck) -> str:
     """Return the verdict; it never claims that the simulation is complete."""
     count = len(board.after.comparisons) + 1
     if not is_different(board.after):
-        return (
+        text = (
             f"No difference found in {count} statistics. Differences smaller than their scatter "
             "cannot be seen."
         )
+        return text if board.is_held_out else f"{text} {FITTED_NOTE}"
     different = len(differences(board.after)) + (board.after.density_p_value < level(board.after))
     return f"The twin differs from the measurement in {different} of {count} statistics."
 
@@ -160,7 +167,8 @@ def verdict_text(board: BoardCheck) -> str:
 def summarise(check: TwinCheck) -> str:
     """Return the lines for the terminal."""
     lines = [manager_text(check)]
-    for board in check.boards:
+    # First the recordings that test the twin.
+    for board in sorted(check.boards, key=lambda board: not board.is_held_out):
         kind = "not used for the fit" if board.is_held_out else "used for the fit"
         lines += ["", f"{board.board} in {board.recording} ({kind})"]
         lines.append(

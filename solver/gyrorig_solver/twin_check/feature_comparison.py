@@ -1,10 +1,11 @@
 """Comparison of measured features with those of simulated sessions: p-values from the draws.
 
-The distance of a family is the mean square of its deviations from the draws, in units of their
-scatter. Each draw is compared with the other draws in the same way. If the simulation is right, the
-measurement is one more draw. The logarithm of the distance is nearly normal, therefore the p-value
-is the upper tail of Student's t for one more value of a normal sample. It can be smaller than
-one over the number of draws.
+The distance of a family is the mean square of its deviations from the other sessions, in units of
+their scatter. The measurement and each draw are compared with all others in the same way, so that
+without a difference they are exchangeable: the rank of the measurement among the draws is uniform,
+whatever the distribution of the distances is. Between the ranks, and beyond the largest draw,
+Student's t for the logarithm of the distance gives the rest of the p-value. It can therefore be
+smaller than one over the number of draws.
 
 What to use when: `compare_families` for all families of a recording, `upper_tail` for one value.
 """
@@ -19,6 +20,7 @@ from gyrorig_solver.data import FloatArray
 from gyrorig_solver.twin_check.session_features import Family
 
 MIN_DRAWS = 4
+TINY = 1e-12  # distance of a session that is equal to the mean of all others
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -68,7 +70,6 @@ def _compare(family: Family, draws: FloatArray) -> FamilyComparison | None:
     known = np.isfinite(family.values) & np.isfinite(draws).all(axis=0)
     if not known.any():
         return None
-    count = len(draws)
 
     def deviations(values: FloatArray, others: FloatArray) -> FloatArray:
         spread = np.sqrt(others.var(axis=0, ddof=1) + family.floor**2)
@@ -76,24 +77,44 @@ def _compare(family: Family, draws: FloatArray) -> FamilyComparison | None:
         return np.asarray((values - others.mean(axis=0)) / spread, dtype=np.float64)
 
     z = np.where(known, deviations(family.values, draws), np.nan)
-    deviations_of_draws = [
-        deviations(draws[row], np.delete(draws, row, axis=0))[known] for row in range(count)
-    ]
-    distance = float(np.mean(z[known] ** 2))
-    distances = np.array([float(np.mean(values**2)) for values in deviations_of_draws])
-    tiny = 1e-12
-    p_value = upper_tail(np.log(distance + tiny), np.log(distances + tiny))
+    sessions = np.vstack([family.values, draws])[:, known]
+    distances = np.array(
+        [
+            np.mean(deviations(sessions[row], np.delete(sessions, row, axis=0)) ** 2)
+            for row in range(len(sessions))
+        ]
+    )
+    logarithms = np.log(distances + TINY)
+    p_value = upper_tail(float(logarithms[0]), logarithms[1:])
     std: FloatArray = np.asarray(np.sqrt(draws.var(axis=0, ddof=1) + family.floor**2))
-    return FamilyComparison(family, draws.mean(axis=0), std, z, float(np.sqrt(distance)), p_value)
+    return FamilyComparison(
+        family, draws.mean(axis=0), std, z, float(np.sqrt(distances[0])), p_value
+    )
 
 
 def upper_tail(value: float, sample: FloatArray) -> float:
-    """Return the probability that one more value of a normal sample is larger than `value`.
+    """Return the probability that one more value of a distribution is larger than `value`.
 
-    Source: the prediction interval of a normal sample, with Student's t.
+    The rank among n values decides between n + 1 equal probabilities. Within one of them,
+    Student's t for one more value of a normal sample decides.
+
+    Args:
+        value: the measured one.
+        sample: values of the distribution, at least 2.
     """
-    count = sample.size
-    spread = float(sample.std(ddof=1)) * np.sqrt(1.0 + 1.0 / count)
+    descending = np.sort(sample)[::-1]
+    larger = int(np.count_nonzero(descending > value))
+    equal = int(np.count_nonzero(descending == value))
+    cells = sample.size + 1
+    if equal:
+        return 1.0 if equal == sample.size else (larger + (equal + 1) / 2.0) / cells
+    spread = float(sample.std(ddof=1)) * np.sqrt(1.0 + 1.0 / sample.size)
     if spread <= 0.0:
-        return 1.0 if value <= float(sample.mean()) else 0.0
-    return float(special.stdtr(count - 1, -(value - float(sample.mean())) / spread))
+        return 0.0 if larger == 0 else 1.0
+
+    def tail(x: float) -> float:
+        return float(special.stdtr(sample.size - 1, -(x - float(sample.mean())) / spread))
+
+    above = tail(float(descending[larger - 1])) if larger else 0.0
+    below = tail(float(descending[larger])) if larger < sample.size else 1.0
+    return (larger + (tail(value) - above) / (below - above)) / cells

@@ -34,6 +34,8 @@ from gyrorig_solver.twin_check.observed_session import ObservedSession
 from gyrorig_solver.twin_check.predicted_rates import SimulatedRates
 
 MIN_START_STD_S = 5e-6  # the poll fit states the scatter of the replies only
+OFFSETS = 3  # the last unknowns, one per axis
+FREE_OFFSET_FACTOR = 30.0  # of their deviation, where they are removed instead of predicted
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -91,12 +93,26 @@ class RateDensity:
         return self._constant - 0.5 * (float(white @ white) - explained)
 
     def residual(self, predicted_rad_s: FloatArray) -> FloatArray:
-        """Return measured minus predicted rates without the fitted unknowns, shape (n, 3)."""
+        """Return measured minus predicted rates without the fitted unknowns, shape (n, 3).
+
+        The offsets are removed whatever their size is. `offsets_rad_s` returns them.
+        """
         residual = self._residual(predicted_rad_s)
-        score = self._std * (self._whitened @ self._whiten(residual))
-        values = self._std * cho_solve(self._factor, score)
-        fitted = np.tensordot(values, self._columns, axes=1).T
+        fitted = np.tensordot(self._fit_unknowns(residual), self._columns, axes=1).T
         return np.where(self._session.used[:, None], residual - fitted, 0.0)
+
+    def offsets_rad_s(self, predicted_rad_s: FloatArray) -> FloatArray:
+        """Return the fitted mean of measured minus predicted rates, shape (3,)."""
+        return self._fit_unknowns(self._residual(predicted_rad_s))[-OFFSETS:]
+
+    def _fit_unknowns(self, residual: FloatArray) -> FloatArray:
+        """Return the unknowns of a residual (n, 3), with nearly free offsets, shape (j,)."""
+        std = self._std.copy()
+        std[-OFFSETS:] *= FREE_OFFSET_FACTOR
+        scaled = self._whitened * std[:, None]
+        score = scaled @ self._whiten(residual)
+        solved = np.linalg.solve(np.eye(len(std)) + scaled @ scaled.T, score)
+        return np.asarray(std * solved, dtype=np.float64)
 
     def white_spectrum(self, residual: FloatArray) -> FloatArray:
         """Return the DCT of a residual (n, 3) in units of its standard deviation, (3, n)."""

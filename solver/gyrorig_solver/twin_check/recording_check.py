@@ -170,14 +170,17 @@ def _check_stage(session: ObservedSession, runs: Sequence[_Draw]) -> StageCheck:
     predicted = best.rates.at(session)
     residual = density.residual(predicted)
     limits: dict[str, tuple[float, float]] = {}
-    measured = session_features(session, density, residual, limits)
+    offset = density.offsets_rad_s(predicted)
+    measured = session_features(session, density, residual, offset, limits)
     simulated, nats, first_residual = [], [], residual
     for row, draw in enumerate(draws):
         own_density = RateDensity(draw.session, best.rates, noise)
         others = [other for k, other in enumerate(draws) if k != row]
         nats.append(_mixture(own_density, draw.session, others) / draw.session.duration_s)
-        draw_residual = own_density.residual(best.rates.at(draw.session))
-        simulated.append(session_features(draw.session, own_density, draw_residual, limits))
+        own_predicted = best.rates.at(draw.session)
+        draw_residual = own_density.residual(own_predicted)
+        offset = own_density.offsets_rad_s(own_predicted)
+        simulated.append(session_features(draw.session, own_density, draw_residual, offset, limits))
         if row == 0:
             first_residual = draw_residual
     nats_per_s = log_mean_exp(by_draw) / session.duration_s

@@ -27,8 +27,10 @@ MIN_BIN_BLOCKS = 12
 MOVING_RAD_S = 0.003
 ALLAN_S = (0.1, 0.3, 1.0, 3.0, 10.0, 30.0)
 SPECTRUM_BINS, LOWEST_HZ = 12, 0.03
-QUANTILES = (0.1, 0.5, 0.9, 0.99)
-CLOCK_S = (1.0, 10.0)  # steps of the clock's innovation
+QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95, 0.99)
+STALL_FACTOR = 15.0  # times the usual excess; later samples waited for a stall of the host
+SAME_STALL_S = 0.02  # after a stall, all frames that waited arrive within this time
+CLOCK_S = (1.0, 3.0, 10.0)  # steps of the clock's innovation
 SENSOR_AXES = "xyz"
 
 
@@ -50,6 +52,7 @@ def session_features(
     session: ObservedSession,
     density: RateDensity,
     residual_rad_s: FloatArray,
+    offset_rad_s: FloatArray,
     limits: dict[str, tuple[float, float]],
 ) -> list[Family]:
     """Return all families of one recording.
@@ -58,10 +61,12 @@ def session_features(
         session: the recording.
         density: the noise of the simulation, which weights the residual.
         residual_rad_s: measured minus predicted rate, shape (n, 3).
+        offset_rad_s: the mean that was removed from it, shape (3,).
         limits: of the covariates; limits that are missing are added, so that all recordings that
             are compared have the same bins.
     """
     families = [
+        _bias_family(offset_rad_s),
         *_residual_families(session, density, residual_rad_s, limits),
         *_noise_families(session, residual_rad_s),
         *_motion_families(session),
@@ -69,6 +74,11 @@ def session_features(
         *_clock_families(session),
     ]
     return [family for family in families if family.values.size]
+
+
+def _bias_family(offset_rad_s: FloatArray) -> Family:
+    return Family("bias", "bias of the session", "deg/s", "axis x 0, y 1, z 2", np.arange(3.0),
+                  tuple(SENSOR_AXES), np.degrees(offset_rad_s), 1e-7)  # fmt: skip
 
 
 def _residual_families(
@@ -276,16 +286,17 @@ def _motion_families(session: ObservedSession) -> list[Family]:
 
 
 def _latency_families(session: ObservedSession) -> list[Family]:
-    """Return quantiles of the latencies, as decibels."""
+    """Return quantiles of the latencies, and the time in stalls of the host."""
     samples = session.samples
     excess = samples.host_s - samples.time_s
     excess = excess - np.min(excess)
+    is_late = excess > STALL_FACTOR * float(np.median(excess)) / np.log(2.0)
     raw = session.recording.ptu_positions()
     answer = (times_ns(raw["first_byte_time"]) - times_ns(raw["request_time"])) * 1e-9
     spacing = np.diff(samples.host_s)
     families = []
     for key, title, values in (
-        ("latency", "latency of the board's frames above the smallest", excess),
+        ("latency", "latency of the board's frames above the smallest", excess[~is_late]),
         ("jitter", "interval between arrivals of frames", spacing),
         ("answer_time", "answer time of the unit", answer),
     ):
@@ -294,6 +305,15 @@ def _latency_families(session: ObservedSession) -> list[Family]:
             Family(key, title, "ms", "quantile", np.array(QUANTILES), ("",) * len(QUANTILES),
                    quantiles, 0.001)
         )  # fmt: skip
+    # Samples that waited for one stall arrive together, so each stall has one longest delay.
+    late_s, arrival_s = excess[is_late], samples.host_s[is_late]
+    groups = np.split(late_s, np.flatnonzero(np.diff(arrival_s) > SAME_STALL_S) + 1)
+    lengths_s = np.array([group.max() for group in groups if group.size])
+    stalls = 1e3 * np.array([lengths_s.sum(), lengths_s.max(initial=0.0)])
+    families.append(
+        Family("stalls", "stalls of the host", "ms", "total 0, longest 1", np.arange(2.0),
+               ("", ""), stalls, 1.0)
+    )  # fmt: skip
     return families
 
 
@@ -307,12 +327,12 @@ def _clock_families(session: ObservedSession) -> list[Family]:
         chosen = samples.time_s[::size]
         number = samples.number[::size].astype(np.float64)
         if chosen.size < 8:
-            continue
+            break
         slope = np.diff(chosen) / np.diff(number)
         innovations.append(1e6 * float(np.std(np.diff(slope))) / period_s)
     values = np.array([samples.clock.skew_ppm, *innovations])
     return [
         Family("clock", "skew of the board's clock and its change", "ppm",
-               "skew 0, change over 1 s and 10 s", np.arange(values.size, dtype=np.float64),
+               "skew 0, change over 1 s, 3 s, 10 s", np.arange(values.size, dtype=np.float64),
                ("",) * values.size, values, 0.01)
     ]  # fmt: skip

@@ -29,6 +29,28 @@ def test_p_values_are_uniform_without_a_difference() -> None:
     assert np.abs(ordered - steps).max() < 1.63 / np.sqrt(ordered.size)  # 1 % limit
 
 
+def test_p_values_are_uniform_with_correlated_heavy_tails() -> None:
+    """A common error of all bins, and Student's t with 4 degrees of freedom."""
+    random = np.random.default_rng(4)
+    p_values = []
+    for _ in range(300):
+        rows = random.standard_t(4, size=(DRAWS + 1, FEATURES))
+        rows = rows + 2.0 * random.standard_t(4, size=(DRAWS + 1, 1))
+        draws = [[family_of(row)] for row in rows[1:]]
+        p_values.append(compare_families([family_of(rows[0])], draws)[0].p_value)
+    ordered = np.sort(p_values)
+    steps = np.arange(1, ordered.size + 1) / ordered.size
+    assert np.abs(ordered - steps).max() < 1.63 / np.sqrt(ordered.size)  # 1 % limit
+
+
+def test_equal_values_show_no_difference() -> None:
+    """Rest positions that are the targets in every session."""
+    draws = [[family_of(np.zeros(FEATURES))] for _ in range(DRAWS)]
+    assert compare_families([family_of(np.zeros(FEATURES))], draws)[0].p_value == 1.0
+    moved = family_of(np.full(FEATURES, 1e-3))
+    assert compare_families([moved], draws)[0].p_value < 1e-12
+
+
 def test_a_difference_is_found_and_sized() -> None:
     """A shift of one bin by 1 unit with a scatter of 0.1."""
     random = np.random.default_rng(2)
