@@ -97,3 +97,14 @@ def test_a_missing_cause_is_listed(session_files: tuple[Path, Path], tmp_path: P
 def test_a_folder_without_twin_is_refused(tmp_path: Path, session_files: tuple[Path, Path]) -> None:
     """One line, exit status 2."""
     assert run(["twin-check", str(session_files[1]), str(tmp_path)]) == 2
+
+
+def test_the_file_of_a_twin_is_refused(
+    session_files: tuple[Path, Path], capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The command wants the folder; one line, exit status 2."""
+    folder, recording = session_files
+    assert run(["twin-check", str(recording), str(folder / "twin.yaml")]) == 2
+    (line,) = capsys.readouterr().err.strip().splitlines()
+    assert "is a file" in line
+    assert line.endswith(f"Give the folder {folder}.")

@@ -34,6 +34,8 @@ UNITS = {
     "wander": "1/sqrt(s)",
 }  # of the quantities whose unit is not s
 MAX_ODR_HZ = 1e5
+# Largest sizes of a cause's values, by unit. Real ones are thousands of times smaller.
+MAX_CAUSE_SIZES = {"1": 1e3, "rad": 7.0, "rad/s": 1e3, "Hz": MAX_ODR_HZ, "s": 1e7, "K": 1e3}
 MAX_SKEW = 0.5  # relative
 MAX_LATENCY_S = 10.0
 
@@ -107,6 +109,13 @@ def check_twin(twin: Twin, name: str, error: type[GyrorigError] = UsageError) ->
                 f"{place} happened in {cause.recording!r:.60}, which is not under `recordings`",
                 hint or "write the name of a recording under `recordings`, or null",
             )
+        for key, size in cause.parameters.items():
+            largest = MAX_CAUSE_SIZES.get(size.unit)
+            if largest is not None and abs(size.value) > largest:
+                raise error(
+                    f"{place}: {key} is {size.value:g} {size.unit}, which no rig can have",
+                    f"write a value of at most {largest:g} {size.unit}",
+                )
     if twin.posterior is not None:
         _check_posterior(twin, f"{name}: posterior", error)
 

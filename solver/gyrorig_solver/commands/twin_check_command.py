@@ -63,6 +63,12 @@ def twin_check_command(
     plain = finite_values(to_plain(check))
     write_atomically(page, render_check(check).encode())
     write_atomically(data, (json.dumps(plain, indent=1, allow_nan=False) + "\n").encode())
+    for recording in measured:
+        if recording.losses:
+            losses = "; ".join(loss.text for loss in recording.losses)
+            terminal.print_error(
+                f"{recording.path.name}: {losses}. The check uses the data that can be read."
+            )
     code = PARTIAL if check.failed else 0
     for name, fault in check.failed:
         terminal.print_error(f"{name}: {fault}")

@@ -27,7 +27,8 @@ from gyrorig_solver.twin.unit_measurement import UNIT_RECORD, first_move_s, meas
 
 TWIN_NAME = "twin.yaml"
 # What tells two rigs apart, by the record of the metadata.
-RIG_KEYS = {UNIT_RECORD: ("driver", "model", "dialect", "serial"), "gyrorig": ("uid",)}
+RIG_KEYS = {UNIT_RECORD: ("driver", "model", "dialect", "serial"), "gyrorig": ("uid", "rig")}
+SAME_RIG_REMEDY = "give the recordings of one rig only"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -39,14 +40,24 @@ class BuiltTwin:
     verdicts: Mapping[str, str]  # of the findings, by board
     alternatives: tuple[tuple[str, ...], ...]  # of each cause, those that the data do not exclude
     not_emulated: tuple[str, ...]  # named causes that the emulated rig does not have
+    missing: tuple[str, ...] = ()  # what the recordings report as missing
 
 
 def check_one_rig(recordings: Sequence[Recording]) -> None:
     """Refuse recordings of different rigs.
 
     Raises:
-        UsageError: two recordings have units, or boards of one name, that are not the same.
+        UsageError: two recordings have rigs, units, or boards of one name, that are not the same,
+            or only one of them has a unit.
     """
+    with_unit = [recording.path.name for recording in recordings if has_unit([recording])]
+    without = [recording.path.name for recording in recordings if not has_unit([recording])]
+    if with_unit and without:
+        raise UsageError(
+            f"the recording {with_unit[0]} has a motion unit and {without[0]} has none, but a twin "
+            "is of one rig",
+            SAME_RIG_REMEDY,
+        )
     seen: dict[tuple[str, str], tuple[str, str]] = {}
     for recording in recordings:
         for record, facts in recording.metadata.items():
@@ -58,10 +69,11 @@ def check_one_rig(recordings: Sequence[Recording]) -> None:
                 if first != value:
                     device = record.removeprefix("gyrorig.").replace("ptu", "unit")
                     device = device.replace("board.", "board ")
+                    words = "name of the rig" if key == "rig" else f"{key} of the {device}"
                     raise UsageError(
-                        f"the {key} of the {device} is {first:.40} in {name} and {value:.40} in "
+                        f"the {words} is {first:.40} in {name} and {value:.40} in "
                         f"{recording.path.name}, but a twin is of one rig",
-                        "give the recordings of one rig only",
+                        SAME_RIG_REMEDY,
                     )
 
 
@@ -102,6 +114,11 @@ def build_twin(boards: Mapping[str, BoardData], fits: Mapping[str, CriticisedFit
         },
         tuple(collected.alternatives),
         tuple(dict.fromkeys(collected.not_emulated)),
+        tuple(
+            f"{r.path.name}: {'; '.join(loss.text for loss in r.losses)}"
+            for r in recordings
+            if r.losses
+        ),
     )
 
 

@@ -89,6 +89,9 @@ def twin_warnings(built: BuiltTwin) -> list[str]:
         warnings.append(f"the emulated rig does not have this cause: {titles}")
     if built.twin.posterior is None:
         warnings.append("the twin has no joint covariance, so every draw has the same values")
+    warnings += [
+        f"{loss}. The twin is that of the data that can be read." for loss in built.missing
+    ]
     return warnings
 
 

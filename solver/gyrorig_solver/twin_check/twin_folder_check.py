@@ -114,6 +114,11 @@ def check_twin_folder(
 
 
 def _read_twin(path: Path) -> bytes:
+    if path.parent.is_file():
+        raise UsageError(
+            f"{path.parent} is a file, and a check needs the folder of a twin",
+            f"give the folder {path.parent.parent}",
+        )
     try:
         return path.read_bytes()
     except OSError as fault:

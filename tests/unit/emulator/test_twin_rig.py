@@ -173,6 +173,20 @@ def test_draws_follow_the_posterior_and_are_reproducible() -> None:
     assert unchanged == twin.boards["GY80-1"].gain.value[0][0]
 
 
+@pytest.mark.parametrize(
+    ("hidden", "place", "remedy"),
+    [("backlash@pan", "roll", "pan, tilt or all"), ("bias_step", "pan", "x, y, z or all")],
+)
+def test_a_place_that_the_device_does_not_have_is_refused(
+    hidden: str, place: str, remedy: str
+) -> None:
+    plain = plain_twin(hidden)
+    plain["causes"][0]["where"] = place
+    with pytest.raises(UsageError, match=f"has the place '{place}'") as caught:
+        make_twin_rig(twin_of(plain), SETTINGS)
+    assert remedy in caught.value.remedy
+
+
 def test_the_interval_of_stalls_is_drawn_from_their_count() -> None:
     """No stall in 60 s leaves a rate of 0.5 per 60 s on average; 9 stalls in 180 s give 9.5."""
     for value, std, mean_rate_hz in ((0.0, 60.0, 0.5 / 60.0), (20.0, 20.0 / 3.0, 9.5 / 180.0)):

@@ -123,6 +123,7 @@ def _changed(path: str, value: object) -> dict[str, Any]:
         ("causes/0/recording", "b.mcap", "not under `recordings`"),
         ("causes/0/cause", "../etc", "cause"),
         ("causes/0/parameters", {}, "parameters"),
+        ("causes/0/parameters", {"gap.pan": scalar(60.0, "rad")}, "gap.pan is 60 rad, which no"),
         ("posterior/names/0", "boards.B1.gain", "no value of the twin has the name"),
         ("posterior/names/0", "boards.B1.time_offset", "twice"),
         ("posterior/covariance", [[1.0]], "3 rows and columns"),

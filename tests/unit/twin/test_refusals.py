@@ -1,9 +1,14 @@
 """Inputs that make no twin get one line, and nothing is written."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from tests.unit.twin.conftest import record, run_gyrorig
+from tests.unit.twin.conftest import ROOT, record, run_gyrorig
+
+from gyrorig_protocol.errors import UsageError
+from gyrorig_protocol.recording.reader import read_recording
+from gyrorig_solver.twin import check_one_rig
 
 OTHER_UNIT = """
 schema: gyrorig/rig/1
@@ -78,3 +83,32 @@ def test_recordings_of_two_units_are_refused(quick: Path, tmp_path: Path) -> Non
     other, _ = record(tmp_path / "other", "--seed", "3", program="quick", config=rig)
     message = _refused(2, quick, other, "--out", tmp_path / "t")
     assert "one rig" in message
+
+
+def test_recordings_of_two_rigs_are_refused(quick: Path, tmp_path: Path) -> None:
+    rig = tmp_path / "rig.yaml"
+    text = (ROOT / "config" / "rig.yaml").read_text(encoding="utf-8")
+    rig.write_text(text.replace("rig: emulated-1", "rig: workshop-2"), encoding="utf-8")
+    other, _ = record(tmp_path / "other", "--seed", "2", program="quick", config=rig)
+    message = _refused(2, quick, other, "--out", tmp_path / "t")
+    assert "the name of the rig is emulated-1" in message
+    assert "workshop-2" in message
+
+
+def test_recordings_with_and_without_a_unit_are_refused(quick: Path) -> None:
+    with_unit = read_recording(quick)
+    topics = {name: topic for name, topic in with_unit.topics.items() if name != "/ptu/position"}
+    without = replace(with_unit, topics=topics, path=Path("bench.mcap"))
+    with pytest.raises(UsageError, match=r"has a motion unit and bench\.mcap has none"):
+        check_one_rig([with_unit, without])
+
+
+def test_a_truncated_recording_gets_a_remark(quick: Path, tmp_path: Path) -> None:
+    cut = tmp_path / "cut.mcap"
+    whole = quick.read_bytes()
+    cut.write_bytes(whole[: len(whole) * 9 // 10])
+    process = run_gyrorig("twin", cut, "--out", tmp_path / "t")
+    assert process.returncode == 0, process.stderr
+    remarks = [line for line in process.stdout.splitlines() if line.startswith("  ! cut.mcap: ")]
+    assert len(remarks) == 1
+    assert remarks[0].endswith("The twin is that of the data that can be read.")

@@ -4,7 +4,7 @@ The base parameters of a fit contain what the base model absorbs of each cause. 
 this part (`CarriedCause`), and it is taken out of the base parameters here.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -20,6 +20,8 @@ from gyrorig_daemon.emulator.physics.lowpass import butterworth_delay_s
 from gyrorig_daemon.emulator.physics.stepper_axis import ARCSEC_RAD
 from gyrorig_daemon.emulator.rig_truth import BoardTruth, RigTruth, sample_rig_truth
 from gyrorig_daemon.emulator.stated_cause import (
+    SENSOR_AXES,
+    UNIT_AXES,
     CarriedCause,
     Quantity,
     StatedBoard,
@@ -141,6 +143,25 @@ def _find_board(twin: Twin, name: str) -> TwinBoard:
     return twin.boards[name]
 
 
+def _check_places(cause: TwinCause, places: Sequence[str]) -> None:
+    """Refuse places that the devices of a cause do not have.
+
+    Raises:
+        UsageError: a place is neither an axis of the unit nor one or more of the sensor.
+    """
+    if CAUSES[cause.cause].is_on_board():
+        wrong = [place for place in places if not set(place) <= set("".join(SENSOR_AXES))]
+        known = ", ".join(SENSOR_AXES)
+    else:
+        wrong = [place for place in places if place not in UNIT_AXES]
+        known = ", ".join(UNIT_AXES)
+    if wrong:
+        raise UsageError(
+            f"the cause {cause.cause} of the twin has the place {wrong[0]!r:.40} under `where`",
+            f"write {known} or all",
+        )
+
+
 def _injected(name: str, board: str | None, carried: CarriedCause) -> InjectedCause:
     kind = CAUSES[name]
     first = next(iter(carried.parameters.values()))
@@ -194,6 +215,8 @@ class _Places:
     def stated(self, cause: TwinCause, board_id: str | None) -> StatedCause:
         """Return a cause with its times since power-up."""
         settings, recording = self.settings, self.recording
+        places = () if cause.where == "all" else tuple(cause.where.replace(",", " ").split())
+        _check_places(cause, places)
         # Findings give times of the motion, and a sample shows an earlier motion.
         lag_s = 0.0 if board_id is None else self._lag_s(board_id)
         zero_s = settings.session_s[0] - recording.begin_s + lag_s
@@ -201,7 +224,7 @@ class _Places:
         step_rad = unit.resolution_arcsec * ARCSEC_RAD
         return StatedCause(
             name=cause.cause,
-            places=() if cause.where == "all" else tuple(cause.where.replace(",", " ").split()),
+            places=places,
             values={name: scalar.value for name, scalar in cause.parameters.items()},
             zero_s=zero_s,
             begin_s=zero_s + recording.begin_s,
