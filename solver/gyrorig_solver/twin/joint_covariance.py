@@ -17,7 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gyrorig_protocol.twin import Posterior, TwinUnit
+from gyrorig_protocol.twin import Posterior, TwinLink, TwinUnit
 from gyrorig_solver.data import FloatArray
 from gyrorig_solver.estimate import BASE_PARAMETERS, ConvergedFit, GyroFit
 from gyrorig_solver.model import FACTOR_NAMES, GAIN_NAMES, GainFactors, factor_jacobian
@@ -27,6 +27,7 @@ from gyrorig_solver.twin.twin_causes import CollectedCauses
 MAX_NAMES = 400  # of the posterior in a document
 MIN_OFFSET_STD_S = 1e-7
 START_DELAY = "unit.start_delay"  # its name in the posterior
+LATENCIES = ("link.floor", "link.write_floor", "link.write_jitter", "unit.answer_time")
 DIGITS = 9  # of a number in the document
 TIME_OFFSET = BASE_PARAMETERS - 1
 
@@ -45,7 +46,10 @@ class NamedCovariance:
 
 
 def join_covariances(
-    fits: Mapping[str, CriticisedFit], collected: CollectedCauses, unit: TwinUnit | None
+    fits: Mapping[str, CriticisedFit],
+    collected: CollectedCauses,
+    unit: TwinUnit | None,
+    link: TwinLink,
 ) -> Posterior | None:
     """Return the joint covariance of all boards, None if it is empty or too large.
 
@@ -62,11 +66,36 @@ def join_covariances(
     if joint.names and unit is not None and unit.start_delay is not None:
         matrix = _block_diagonal(joint.matrix, np.array([[MIN_OFFSET_STD_S**2]]))
         joint = NamedCovariance((*joint.names, START_DELAY), matrix)
+    latencies = latency_covariance(unit, link)
+    if joint.names and latencies is not None:
+        matrix = _block_diagonal(joint.matrix, latencies.matrix)
+        joint = NamedCovariance((*joint.names, *latencies.names), matrix)
     if not joint.names or len(joint.names) > MAX_NAMES:
         return None
     # Equal rounding of both triangles keeps the matrix symmetric.
     rows = tuple(tuple(float(f"{v:.{DIGITS}g}") for v in row) for row in joint.matrix)
     return Posterior(joint.names, rows)
+
+
+def latency_covariance(unit: TwinUnit | None, link: TwinLink) -> NamedCovariance | None:
+    """Return the covariance of the latencies of an exchange with the unit, None without them.
+
+    Pings show the sum of the latency floors of writing and reading, and the replies of the unit
+    the sum of its answer time and the latencies of the host. The sums are known better than their
+    parts, so that a draw keeps them.
+    """
+    answer_time = None if unit is None else unit.answer_time
+    parts = (link.floor, link.write_floor, link.write_jitter, answer_time)
+    stds = [part.std for part in parts if part is not None and part.std is not None]
+    if len(stds) != len(parts):
+        return None
+    floor_s, write_floor_s, jitter_s, answer_s = stds
+    matrix = np.diag(np.square(stds))
+    matrix[0, 1] = matrix[1, 0] = -floor_s * write_floor_s
+    # The answer time contains the uncertainty of the floors, and that of the jitter is as large.
+    shared_s2 = (min(floor_s, answer_s) ** 2 + jitter_s**2) / 2.0
+    matrix[2, 3] = matrix[3, 2] = -min(shared_s2, jitter_s * answer_s)
+    return NamedCovariance(LATENCIES, matrix)
 
 
 def board_covariance(

@@ -99,7 +99,7 @@ def build_twin(boards: Mapping[str, BoardData], fits: Mapping[str, CriticisedFit
         link=link.section,
         boards={name: measure_board(data, fits[name]) for name, data in boards.items()},
         causes=tuple(collected.causes),
-        posterior=join_covariances(fits, collected, unit),
+        posterior=join_covariances(fits, collected, unit, link.section),
     )
     check_twin(twin, TWIN_NAME, InputError)
     rig = build_rig_mapping(recordings[-1], twin)
