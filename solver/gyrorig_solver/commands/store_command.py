@@ -23,6 +23,7 @@ from gyrorig_solver.fleet.column_units import column_label, column_unit
 from gyrorig_solver.fleet.drift.shrinkage_files import read_shrinkage_estimates
 from gyrorig_solver.fleet.store import open_existing_store, read_signer, rebuild_index, verify
 from gyrorig_solver.fleet.store.manifest import read_public_key
+from gyrorig_solver.fleet.store.store_heads import heads_text
 from gyrorig_solver.fleet.store.store_queries import (
     VersionFilter,
     all_versions,
@@ -31,7 +32,7 @@ from gyrorig_solver.fleet.store.store_queries import (
 )
 from gyrorig_solver.fleet.store.store_verification import REMEDIES
 from gyrorig_solver.model import format_quantity, plural
-from gyrorig_solver.storage import Storage, StorageOption
+from gyrorig_solver.storage import Storage, StorageOption, write_file
 
 _DAMAGED_STATUS = 3
 _FAULTS_SHOWN = 50
@@ -235,12 +236,33 @@ def diff_command(
     help="A public Ed25519 key (PEM): every calibration must be signed with it.  "
     "[default: signatures are not checked]",
 )
+@click.option(
+    "--at-least",
+    "heads",
+    type=_KEY_FILE,
+    help="A list that --write-heads wrote: the store must still contain its versions.  "
+    "[default: not compared]",
+)
+@click.option(
+    "--write-heads",
+    "new_heads",
+    type=click.Path(path_type=Path, dir_okay=False),
+    help="File to write if there are no faults: the newest versions, for a later --at-least. "
+    "Keep it outside the store.  [default: not written]",
+)
 @json_option
 @click.pass_obj
-def verify_command(terminal: Terminal, folder: Storage, key: Path | None) -> int:
+def verify_command(
+    terminal: Terminal,
+    folder: Storage,
+    key: Path | None,
+    heads: Path | None,
+    new_heads: Path | None,
+) -> int:
     r"""Compare every file with its SHA-256 in the next version, the index and the manifests.
 
-    Exits with status 3 when a file is damaged, missing, unknown or, with --key, not signed.
+    Exits with status 3 when a file is damaged, missing, unknown or, with --key, not signed. With
+    --at-least, also when the store was replaced by an older copy of itself.
     Without this program: sha256sum -c manifest/*.sha256, in the folder of the store.
 
     \b
@@ -248,7 +270,7 @@ def verify_command(terminal: Terminal, folder: Storage, key: Path | None) -> int
       gyrorig store verify calibrations
       gyrorig store verify s3://fleet/calibrations --key fleet-public.pem
     """
-    result = verify(folder, None if key is None else read_public_key(key))
+    result = verify(folder, None if key is None else read_public_key(key), heads)
     for fault in result.faults[:_FAULTS_SHOWN]:
         terminal.print_result(f"{fault.kind:<11} {fault.file}: {fault.text}")
     if len(result.faults) > _FAULTS_SHOWN:
@@ -262,6 +284,9 @@ def verify_command(terminal: Terminal, folder: Storage, key: Path | None) -> int
     for kind in dict.fromkeys(fault.kind for fault in result.faults):
         terminal.print_result(f"  {kind:<11} {REMEDIES[kind].replace('STORE', folder.location)}")
     code = _DAMAGED_STATUS if result.faults else 0
+    if new_heads is not None and not result.faults:
+        write_file(new_heads, heads_text(folder).encode(), replace=True)
+        terminal.print_result(f"heads: {new_heads}")
     faults = [asdict(fault) for fault in result.faults]
     terminal.print_json({"versions": result.versions, "faults": faults, "exit_code": code})
     return code

@@ -157,3 +157,29 @@ def test_the_command_exits_with_3_for_another_key(
     other.write_bytes(Ed25519PrivateKey.generate().public_key().public_bytes(*form))
     assert run(["store", "verify", str(store), "--key", str(other)]) == 3
     assert "the manifest is not signed with this key" in capsys.readouterr().out
+
+
+def test_a_batch_signs_only_what_it_wrote(store: Path, keys: tuple[Path, Path]) -> None:
+    """A forged version with its row lies in the store when the owner's next batch ends."""
+    signature = item(store, "manifest/*.sha256.sig")
+    for name in (signature, item(store, "manifest/*.sha256")):
+        name.unlink()
+    assert write_manifests(Folder(store), read_signer(keys[0]), []) == 1
+    assert not signature.exists()
+    assert {fault.kind for fault in verify(store, read_public_key(keys[1])).faults} == {"unsigned"}
+
+
+def test_a_roll_back_is_detected(store: Path, keys: tuple[Path, Path], tmp_path: Path) -> None:
+    heads = tmp_path / "heads.txt"
+    command = ["store", "verify", str(store), "--key", str(keys[1])]
+    assert run([*command, "--write-heads", str(heads)]) == 0
+    assert run([*command, "--at-least", str(heads)]) == 0
+    older = Path(shutil.copytree(store, tmp_path / "older"))
+    for pattern in ("calib/*/*/*/v0002*", "manifest/*"):
+        for path in older.glob(pattern):
+            path.unlink()
+    kinds = {(fault.kind, Path(fault.file).name) for fault in verify(older, None, heads).faults}
+    assert ("rolled back", "v0002.yaml") in kinds
+    assert run(["store", "verify", str(older), "--at-least", str(heads)]) == 3
+    heads.write_text("no list\n")
+    assert run([*command, "--at-least", str(heads)]) == 3

@@ -124,10 +124,11 @@ def test_extensions_need_a_path_that_names_them(
     folder.mkdir(parents=True)
     (folder / "mini.py").write_text("")
     (tmp_path / "gyrorig_extensions" / "__init__.py").write_text("print('RUN')")
+    environment = {k: v for k, v in os.environ.items() if not k.startswith("PYTHON")}
     completed = subprocess.run(
         [sys.executable, *flags, "-c", LIST_EXTENSIONS],
         cwd=tmp_path,
-        env={**os.environ, "PYTHONPATH": path.replace("HERE", str(tmp_path))},
+        env={**environment, "PYTHONPATH": path.replace("HERE", str(tmp_path))},
         capture_output=True,
         text=True,
         check=True,

@@ -68,6 +68,7 @@ class BatchSummary:
     boards_by_status: Counter[str] = field(default_factory=Counter)
     deferred_keys: set[str] = field(default_factory=set)  # the machine or the store refused them
     deferral_reason: str = ""
+    own_rows: list[IndexRow] = field(default_factory=list)  # of calibrations, to be signed
     unsuccessful_rows: list[IndexRow] = field(default_factory=list)
     joint_fit_failures: list[str] = field(default_factory=list)  # of boards solved singly instead
     consecutive_deferrals: int = 0
@@ -177,7 +178,7 @@ def _close_batch(
     """Merge the rows into the index and write manifests; on an error the next batch does it."""
     try:
         claims.end_batch(index)
-        write_manifests(storage, signer)
+        write_manifests(storage, signer, summary.own_rows)
     except MachineError as fault:
         summary.unmerged_reason = str(fault)
 
@@ -261,6 +262,7 @@ def _run_jobs(
                 raise outcome.fault
             journal.add(outcome.rows)
             _count_result(outcome, summary)
+            summary.own_rows += [row for row in outcome.rows if row.status == "ok"]
             summary.consecutive_deferrals = 0
             with contextlib.suppress(MachineError):  # the job has its rows, which is enough
                 claims.mark_done(outcome.key)

@@ -8,13 +8,12 @@ depends on its index file only. Therefore the next batch completes an interrupte
 batches that write a manifest for one file write the same bytes.
 
 Without a signature, a manifest detects damage. With one, whoever has the public key also detects
-forgery: the holder of the private key has signed these bytes. Files that no manifest lists are
-added by the next batch, whoever wrote them; until then, everyone who can write to the store is
-trusted.
+forgery: the holder of the private key has signed these bytes. A batch signs what it wrote itself.
+Files of others that no manifest lists get a manifest without a signature.
 """
 
 import hashlib
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 
@@ -24,6 +23,7 @@ from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey,
 from cryptography.hazmat.primitives.serialization import load_pem_private_key, load_pem_public_key
 
 from gyrorig_protocol.errors import InputError, UsageError
+from gyrorig_solver.fleet.store.index_rows import IndexRow
 from gyrorig_solver.fleet.store.store_index import INDEX_FOLDER as INDEX
 from gyrorig_solver.storage import Storage
 
@@ -86,23 +86,48 @@ def read_public_key(path: Path) -> Ed25519PublicKey:
     return key
 
 
-def write_manifests(storage: Storage, signer: Signer | None) -> int:
+def write_manifests(
+    storage: Storage, signer: Signer | None, own_rows: Iterable[IndexRow] | None = None
+) -> int:
     """Write the missing manifests, and sign only these; return their number.
+
+    Args:
+        storage: of the store.
+        signer: the key; None: no manifest is signed.
+        own_rows: what the caller wrote. A manifest that lists anything else is not signed. None:
+            every manifest is signed, whoever wrote the files.
 
     Raises:
         MachineError: the store does not answer, or refuses.
         InputError: a file of the index is damaged.
     """
     existing = {entry.name for entry in storage.list_files(MANIFEST_FOLDER)}
+    own_lines = None if own_rows is None else set(_manifest_lines(own_rows))
     written_count = 0
     for file in index_files(storage):
         name = manifest_name(file)
         if name not in existing:
             text = _manifest_text(storage, file)
-            if signer is not None:  # first, so that no manifest is ever unsigned
+            listed = set(text.decode().splitlines()[1:])
+            if signer is not None and (own_lines is None or listed <= own_lines):
+                # First, so that no own manifest is ever unsigned.
                 storage.write(name + _SIGNATURE_SUFFIX, signer.sign(text))
             written_count += storage.write_new(name, text)
     return written_count
+
+
+def _manifest_lines(rows: Iterable[IndexRow]) -> Iterator[str]:
+    """Yield the lines of a manifest that lists these rows."""
+    for row in rows:
+        if row.status == "ok":
+            yield from _document_lines(row.file, row.file_sha256, row.beside)
+
+
+def _document_lines(file: str, digest: str, companions: Iterable[str] | None) -> Iterator[str]:
+    yield f"{digest}  {file}"
+    folder = PurePosixPath(file).parent
+    for line in companions or ():
+        yield f"{line[:_DIGEST_CHARS]}  {folder / line[_DIGEST_CHARS + 2 :]}"
 
 
 def remove_manifests(storage: Storage) -> None:
@@ -172,10 +197,7 @@ def _manifest_text(storage: Storage, index_file: str) -> bytes:
                 f"rebuild-index {storage.location}`",
             ) from fault
     for file, digest, companions in rows:
-        lines.append(f"{digest}  {file}")
-        folder = PurePosixPath(file).parent
-        for line in companions or ():
-            lines.append(f"{line[:_DIGEST_CHARS]}  {folder / line[_DIGEST_CHARS + 2 :]}")
+        lines += _document_lines(file, digest, companions)
     return ("\n".join(lines) + "\n").encode()
 
 

@@ -16,6 +16,7 @@ from gyrorig_protocol.errors import GyrorigError
 from gyrorig_solver.calibration import parse_calibration
 from gyrorig_solver.fleet.store.manifest import index_files, manifest_name, read_manifests
 from gyrorig_solver.fleet.store.store_backend import open_index
+from gyrorig_solver.fleet.store.store_heads import find_rolled_back
 from gyrorig_solver.fleet.store.store_queries import (
     is_version_file,
     list_documents,
@@ -28,7 +29,7 @@ from gyrorig_solver.storage import Storage, StorageEntry, storage_at
 class StoreFault:
     """One fault of a store."""
 
-    kind: str  # damaged | missing | unknown | chain | unreadable | unsigned
+    kind: str  # damaged | missing | unknown | chain | unreadable | unsigned | rolled back
     file: str
     text: str
 
@@ -44,6 +45,7 @@ REMEDIES = {
     ),
     "unreadable": "Restore the file from a backup. Without a backup, remove the file and run "
     "`gyrorig store rebuild-index STORE`.",
+    "rolled back": "Restore the store from a newer backup.",
     "unsigned": "If the file is yours, run `gyrorig store rebuild-index STORE --sign KEY`. "
     "Otherwise restore it from a backup.",
 }
@@ -60,14 +62,17 @@ class VerificationResult:
     faults: tuple[StoreFault, ...]
 
 
-def verify(store: Path | Storage, key: Ed25519PublicKey | None = None) -> VerificationResult:
+def verify(
+    store: Path | Storage, key: Ed25519PublicKey | None = None, heads: Path | None = None
+) -> VerificationResult:
     """Compare every file with its digest, its successor, the index and the manifests.
 
-    With a key, manifests must be signed with it and list every calibration.
+    With a key, manifests must be signed with it and list every calibration. With a list of heads,
+    the store must contain what it contained when the list was written.
 
     Raises:
         UsageError: there is no store at this location.
-        InputError: the index cannot be read.
+        InputError: the index or the list of heads cannot be read.
         MachineError: the bucket does not answer.
     """
     open_existing_store(store)
@@ -87,7 +92,9 @@ def verify(store: Path | Storage, key: Ed25519PublicKey | None = None) -> Verifi
         for name in missing
     ]
     (count,) = index.query("SELECT count(*) FROM rows")[0]
-    all_faults = (*faults, *check.faults, *missing_faults)
+    rolled_back = [] if heads is None else find_rolled_back(storage, heads)
+    rollback_faults = [StoreFault("rolled back", name, text) for name, text in rolled_back]
+    all_faults = (*faults, *check.faults, *missing_faults, *rollback_faults)
     return VerificationResult(
         check.boards, check.versions, int(count), len(manifest_digests), all_faults
     )
