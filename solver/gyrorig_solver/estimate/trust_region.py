@@ -34,6 +34,7 @@ DAMPING_FACTOR = 10.0
 # Small steps in one direction that shrink slowly are extrapolated (Aitken) after this many.
 PLAIN_EVALUATIONS = 12
 MIN_SHRINKAGE, MAX_SHRINKAGE, MIN_COSINE = 0.3, 0.95, 0.9
+CYCLE_DIFFERENCE = 1e-4  # of two full steps, relative: then the second one starts a cycle
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -130,11 +131,18 @@ def minimise(
     damping, previous_sigma, was_accepted = 0.0, np.inf, True
     previous: ProposedStep | None = None
     lost = 0.0  # increase of the objective since its lowest value, nats
+    undamped: list[FloatArray] = []  # the full steps that were accepted one after the other
     full = problem.propose(0.0)
     for evaluation in range(max_evaluations):
         if was_accepted and _is_negligible(full, previous_sigma, shrinkage_limit):
             problem.finish(full)
             return Convergence(True, evaluation, full.predicted_decrease)
+        if damping or not was_accepted or full.predicted_decrease < INSIGNIFICANT_NATS:
+            undamped.clear()
+        elif _is_repeated(full.sigmas, undamped):
+            return _not_converged(problem, full, evaluation)
+        else:
+            undamped.append(full.sigmas)
         proposal = problem.propose(damping) if damping else full
         is_plain = not damping and full.predicted_decrease < INSIGNIFICANT_NATS
         if is_plain and previous is not None and evaluation >= PLAIN_EVALUATIONS:
@@ -173,6 +181,16 @@ def _is_negligible(full: ProposedStep, previous_sigma: float, shrinkage_limit: f
     is_small = size < CONVERGED_SIGMA or (size < STEP_SHRINKAGE and shrinkage < shrinkage_limit)
     remaining = full.predicted_decrease * min(1.0, shrinkage) ** 2
     return is_small and remaining < NEGLIGIBLE_NATS
+
+
+def _is_repeated(sigmas: FloatArray, previous: Sequence[FloatArray]) -> bool:
+    """Return whether a full step is one of the previous ones again.
+
+    After each step the noise levels and the outliers are those of the new values. Where a model
+    misses much, they can lead back: each step decreases the objective, and none is the last.
+    """
+    limit = CYCLE_DIFFERENCE * float(np.linalg.norm(sigmas))
+    return any(float(np.linalg.norm(sigmas - other)) < limit for other in previous)
 
 
 def _extrapolate(full: ProposedStep, previous: ProposedStep) -> ProposedStep:

@@ -112,3 +112,44 @@ def test_refusal_is_one_line_with_the_parameter_and_the_remedy() -> None:
         "the fit did not converge in 40 steps, and base_speed_jump.speed.pan still moves by 3.2 "
         "standard deviations. Leave out a cause."
     )
+
+
+@dataclass
+class Circle:
+    """Each step decreases the objective, and three steps lead back: the noise levels follow."""
+
+    place: int = 0
+    evaluations: int = 0
+    decrease: float = 100.0
+    parameter_names: tuple[str, ...] = ("east", "north")
+
+    def propose(self, damping: float) -> ProposedStep:
+        assert damping >= 0.0
+        angle = 2.0 * np.pi * self.place / 3.0
+        step = 5.0 * np.array([np.cos(angle), np.sin(angle)])
+        return ProposedStep(step, (), self.decrease, step)
+
+    def evaluate(self, proposal: ProposedStep) -> float:
+        self.evaluations += 1
+        return proposal.predicted_decrease
+
+    def accept(self, new_derivatives: bool) -> None:
+        assert new_derivatives in (True, False)
+        self.place = (self.place + 1) % 3
+
+    def renew_derivatives(self) -> bool:
+        return False
+
+    def finish(self, proposal: ProposedStep) -> None:
+        raise AssertionError(proposal)
+
+
+def test_steps_that_lead_back_end_the_fit() -> None:
+    problem = Circle()
+    solution = minimise(problem, MANY)
+    assert not solution.converged
+    assert problem.evaluations == solution.evaluations == 3
+    assert solution.moving == "east"
+    # Small steps may end in many ways: they are not judged.
+    slow = Circle(decrease=1.0)
+    assert minimise(slow, MANY).evaluations > 6
