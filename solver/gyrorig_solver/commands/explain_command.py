@@ -11,7 +11,13 @@ from gyrorig_protocol.identity import BoardId
 from gyrorig_protocol.recording.reader import read_recording
 from gyrorig_protocol.recording.recording import Recording
 from gyrorig_solver.commands.board_selection import select_boards
-from gyrorig_solver.commands.terminal import NOT_IDENTIFIABLE, PARTIAL, Terminal, json_option
+from gyrorig_solver.commands.terminal import (
+    NOT_IDENTIFIABLE,
+    PARTIAL,
+    Terminal,
+    contradiction_option,
+    json_option,
+)
 from gyrorig_solver.findings import FindingsDocument, findings_summary, next_experiment_lines
 from gyrorig_solver.findings.findings_document import to_plain
 from gyrorig_solver.model import find_term
@@ -64,6 +70,7 @@ from gyrorig_solver.plan import MAX_PROGRAM_S, load_rig, require_new_path
     help="The rig file: the proposed motion program stays within its limits.  "
     "[default: the limits that the unit reported]",
 )
+@contradiction_option
 @json_option
 @click.pass_obj
 def explain_command(
@@ -76,6 +83,7 @@ def explain_command(
     next_causes: tuple[str, ...],
     next_program: Path | None,
     rig_path: Path | None,
+    allow_contradiction: bool,
 ) -> int:
     r"""Find errors in the rig model and identify their causes, as far as the data allow.
 
@@ -122,7 +130,9 @@ def explain_command(
             "select a board with --board, or leave the option out",
         )
     terminal.print_progress(f"explaining {', '.join(recordings_of_board)}")
-    for name, explanation in explain_boards(recordings_of_board, held_out_recording):
+    for name, explanation in explain_boards(
+        recordings_of_board, held_out_recording, allow_contradiction
+    ):
         try:
             if isinstance(explanation, GyrorigError):
                 raise explanation

@@ -19,6 +19,7 @@ from gyrorig_solver.commands.terminal import (
     SuggestingChoice,
     Terminal,
     board_option,
+    contradiction_option,
     json_option,
 )
 from gyrorig_solver.commands.unit_prior_option import read_unit_knowledge, unit_prior_option
@@ -68,6 +69,7 @@ from gyrorig_solver.uncertainty import UncertaintySettings, read_settings
     "shipped ones (format: docs/units.md).  [default: the shipped ones]",
 )
 @unit_prior_option
+@contradiction_option
 @json_option
 @click.pass_obj
 def solve_command(
@@ -79,14 +81,15 @@ def solve_command(
     out: Path,
     uncertainty: Path | None,
     unit_prior: str,
+    allow_contradiction: bool,
 ) -> int:
     r"""Calibrate every board in the recordings; write a calibration and a report each.
 
     All recordings of one board are solved together and give one version; each has its own bias
-    and time offset. Boards on the same pan-tilt unit are solved together: they share the motion
-    and any unit-related error. Boards on one CAN bus also share a time base. With --board, one
-    board is solved alone. The exit status is 4 if the motion did not determine a parameter; the
-    calibration says which, and why.
+    and time offset. Recordings whose gains contradict each other are refused. Boards on the same
+    pan-tilt unit are solved together: they share the motion and any unit-related error. Boards on
+    one CAN bus also share a time base. With --board, one board is solved alone. The exit status is
+    4 if the motion did not determine a parameter; the calibration says which, and why.
 
     \b
     Example:
@@ -133,7 +136,7 @@ def _solve_recordings(
         board_text = names[0] if len(names) == 1 else f"{len(names)} boards"
         recording_names = ", ".join(recording.path.name for recording in group_recordings)
         terminal.print_progress(f"solving {board_text} of {recording_names}")
-        ready = fit_together(group_recordings, names, method, causes)
+        ready = fit_together(group_recordings, names, method, causes, allow_contradiction)
         for name in names:
             try:
                 solved.append(
@@ -146,6 +149,7 @@ def _solve_recordings(
                         ready.get(name),
                         settings,
                         knowledge,
+                        allow_contradiction,
                     )
                 )
                 terminal.print_result(
@@ -234,6 +238,7 @@ def _solve_board(
     ready: CriticisedFit | GyrorigError | None,
     uncertainty: UncertaintySettings | None,
     knowledge: UnitKnowledge,
+    allow_contradiction: bool,
 ) -> StoredResult:
     """Solve one board, or write its part of a joint solution."""
     if isinstance(ready, GyrorigError):
@@ -247,6 +252,7 @@ def _solve_board(
         ready,
         uncertainty=uncertainty,
         unit_knowledge=knowledge,
+        allow_contradiction=allow_contradiction,
     )
 
 

@@ -245,3 +245,13 @@ def json_option(command: Command) -> Command:
         callback=_set_json,
         help="Print one machine-readable object instead of text.",
     )(command)
+
+
+def contradiction_option(command: Command) -> Command:
+    """Give a command the option `--allow-contradiction`."""
+    return click.option(
+        "--allow-contradiction",
+        is_flag=True,
+        help="Fit the recordings of a board together even if their gains contradict each other. "
+        "By default such recordings are refused.",
+    )(command)

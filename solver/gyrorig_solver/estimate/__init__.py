@@ -77,7 +77,11 @@ from gyrorig_solver.estimate.parameter_layout import (
 )
 from gyrorig_solver.estimate.series import Series, build_series, choose_grids
 from gyrorig_solver.estimate.session_fit import SessionFit
-from gyrorig_solver.estimate.shared_parameters import is_unit_cause
+from gyrorig_solver.estimate.shared_parameters import (
+    MIN_HOMOGENEITY_P,
+    homogeneity_p_values,
+    is_unit_cause,
+)
 from gyrorig_solver.estimate.temperature.temperature_fit import TemperatureFit, fit_temperature
 from gyrorig_solver.estimate.trust_region import Convergence
 from gyrorig_solver.estimate.turn_fit import fit_turns
@@ -88,6 +92,7 @@ __all__ = [
     "BASE_PARAMETERS",
     "GAIN_PARAMETERS",
     "MAX_EVALUATIONS",
+    "MIN_HOMOGENEITY_P",
     "NO_SHARING",
     "PARAMETER_NAMES",
     "PRIOR_LOG_STD",
@@ -136,6 +141,7 @@ __all__ = [
     "fit_temperature",
     "fit_turns",
     "free_term",
+    "homogeneity_p_values",
     "is_unit_cause",
     "join_signals",
     "judge_conventions",

@@ -2,11 +2,14 @@
 
 `parameter_layout` makes one unknown of them instead of one per board.
 
-What to use when: `average_shared_values` for common start values, before boards are fitted
-together; `shared_term_p_value` afterwards, for one board.
+What to use when: `homogeneity_p_values` decides from single fits whether a cause can have one
+value; `average_shared_values` for common start values, before boards are fitted together;
+`shared_term_p_value` afterwards, for one board.
+
+Source: the chi-squared test of the consistency of several results, Cox, Metrologia 39 (2002) 589.
 """
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -25,6 +28,11 @@ from gyrorig_solver.model import Term
 from gyrorig_solver.numerics import chi2_upper_tail
 
 MIN_RELATIVE_INFORMATION = 1e-9  # of the strongest direction: less information is ignored
+
+
+# Below this p-value, a cause of the unit is one of each board's mount instead. Boards that
+# differ by less have a common value whose uncertainty is at most 2.6 times too small (two boards).
+MIN_HOMOGENEITY_P = 0.01
 
 
 def is_unit_cause(term: Term) -> bool:
@@ -71,6 +79,56 @@ def average_shared_values(
                 board_terms.append(fitted_term)
         averaged.append(board_terms)
     return averaged
+
+
+def homogeneity_p_values(
+    solutions: Iterable[ConvergedFit], shared_labels: Collection[str]
+) -> dict[str, float]:
+    """Return the p-value that the boards have one value, by label of each unit-wide cause.
+
+    A cause with a prior from other boards is left out: its estimates are not independent.
+
+    Args:
+        solutions: each board's own fit.
+        shared_labels: of the unit-wide causes.
+    """
+    estimates: dict[TermKey, list[tuple[FloatArray, FloatArray]]] = {}
+    for solution in solutions:
+        layout = ParameterLayout.of([solution.fitted_terms], 1)  # as of `ConvergedFit.estimate`
+        for fitted_term, block in zip(solution.fitted_terms, layout.term_blocks(), strict=True):
+            if (
+                not is_shared_term(fitted_term, shared_labels)
+                or fitted_term.other_boards_prior is not None
+            ):
+                continue
+            covariance = solution.observability.covariance
+            estimates.setdefault(identify_term(fitted_term), []).append(
+                (
+                    fitted_term.values[fitted_term.free_indices],
+                    covariance[np.ix_(block.positions, block.positions)],
+                )
+            )
+    p_values: dict[str, float] = {}
+    for key, board_estimates in estimates.items():
+        p_values[key[0]] = min(p_values.get(key[0], 1.0), _homogeneity_p_value(board_estimates))
+    return p_values
+
+
+def _homogeneity_p_value(estimates: Sequence[tuple[FloatArray, FloatArray]]) -> float:
+    """Return the p-value of the estimates' squared distances from their weighted mean."""
+    if len(estimates) < 2:
+        return 1.0
+    weights = [np.linalg.pinv(covariance, hermitian=True) for _, covariance in estimates]
+    inverse = np.linalg.pinv(np.sum(weights, axis=0), hermitian=True)
+    pulls = [weight @ values for (values, _), weight in zip(estimates, weights, strict=True)]
+    mean = inverse @ np.sum(pulls, axis=0)
+    statistic = sum(
+        float((values - mean) @ weight @ (values - mean))
+        for (values, _), weight in zip(estimates, weights, strict=True)
+    )
+    ranks = [int(np.linalg.matrix_rank(weight, hermitian=True)) for weight in weights]
+    degrees = sum(ranks) - int(np.linalg.matrix_rank(inverse, hermitian=True))
+    return chi2_upper_tail(statistic, degrees) if degrees > 0 else 1.0
 
 
 def shared_term_p_value(

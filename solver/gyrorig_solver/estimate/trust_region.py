@@ -137,12 +137,8 @@ def minimise(
         if was_accepted and _is_negligible(full, previous_sigma, shrinkage_limit):
             problem.finish(full)
             return Convergence(True, evaluation, full.predicted_decrease)
-        if damping or not was_accepted or full.predicted_decrease < INSIGNIFICANT_NATS:
-            undamped.clear()
-        elif _is_repeated(full.sigmas, undamped):
+        if _leads_back(full, undamped, bool(damping) or not was_accepted):
             return _not_converged(problem, full, evaluation)
-        else:
-            undamped.append(full.sigmas)
         proposal = problem.propose(damping) if damping else full
         is_plain = not damping and full.predicted_decrease < INSIGNIFICANT_NATS
         if is_plain and previous is not None and evaluation >= PLAIN_EVALUATIONS:
@@ -183,14 +179,24 @@ def _is_negligible(full: ProposedStep, previous_sigma: float, shrinkage_limit: f
     return is_small and remaining < NEGLIGIBLE_NATS
 
 
-def _is_repeated(sigmas: FloatArray, previous: Sequence[FloatArray]) -> bool:
-    """Return whether a full step is one of the previous ones again.
+def _leads_back(full: ProposedStep, previous: list[FloatArray], restarts: bool) -> bool:
+    """Return whether a full step is one of the previous ones again; add it to them.
 
     After each step the noise levels and the outliers are those of the new values. Where a model
     misses much, they can lead back: each step decreases the objective, and none is the last.
+
+    Args:
+        full: the step.
+        previous: the full steps that were accepted one after the other, in standard deviations.
+        restarts: whether the last step was another one; steps that are small are not judged.
     """
-    limit = CYCLE_DIFFERENCE * float(np.linalg.norm(sigmas))
-    return any(float(np.linalg.norm(sigmas - other)) < limit for other in previous)
+    if restarts or full.predicted_decrease < INSIGNIFICANT_NATS:
+        previous.clear()
+        return False
+    limit = CYCLE_DIFFERENCE * float(np.linalg.norm(full.sigmas))
+    is_repeated = any(float(np.linalg.norm(full.sigmas - other)) < limit for other in previous)
+    previous.append(full.sigmas)
+    return is_repeated
 
 
 def _extrapolate(full: ProposedStep, previous: ProposedStep) -> ProposedStep:

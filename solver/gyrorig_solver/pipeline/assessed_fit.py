@@ -67,14 +67,15 @@ def add_to_unit(
 ) -> int | None:
     """Write the next version of the unit's posterior; return its number, None if none is needed.
 
-    A fit that leaves a significant effect tells nothing reliable about the unit.
+    A fit that leaves a significant effect tells nothing reliable about the unit. Neither does a
+    board that disagrees with the others about a cause of the unit.
 
     Raises:
         InputError: the newest version is damaged.
         MachineError: the store refuses.
     """
     information = None if assessed.budget is None else assessed.budget.unit_information
-    if information is None or not criticised.is_adequate:
+    if information is None or not criticised.is_adequate or criticised.disputed_causes:
         return None
     document = knowledge.add(data.recordings, data.board, information, settings)
     return None if document is None else document.version

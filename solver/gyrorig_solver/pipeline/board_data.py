@@ -35,6 +35,9 @@ class BoardData:
     samples: tuple[GyroSamples, ...]  # as recorded
     # Used instead of those of `samples`, if a known part of the rates was subtracted.
     changed_sessions: tuple[Session, ...] | None = None
+    allows_contradiction: bool = False  # of the recordings, as the user asked
+    # Remarks of the comparison of the recordings; None: they were not compared.
+    comparison: tuple[str, ...] | None = None
 
     @cached_property
     def kind(self) -> "ReferenceKind":
@@ -47,8 +50,9 @@ class BoardData:
 
     @property
     def missing(self) -> tuple[str, ...]:
-        """What the recordings report as missing, one text for each loss, and missing dates."""
+        """What is missing or contradictory in the recordings, one text each, and missing dates."""
         losses = tuple(f"{r.path.name}: {loss.text}" for r in self.recordings for loss in r.losses)
+        losses = (*(self.comparison or ()), *losses)
         undated = [r.path.name for r in self.recordings if not r.has_time_of_day]
         if len(self.recordings) == 1 or not undated:
             return losses
@@ -91,14 +95,22 @@ class BoardData:
         )
 
 
-def load_board(recordings: Sequence[Recording], board: str) -> BoardData:
+def load_board(
+    recordings: Sequence[Recording], board: str, allow_contradiction: bool = False
+) -> BoardData:
     """Load one board's samples from all of its recordings.
+
+    Args:
+        recordings: in any order.
+        board: in each of them.
+        allow_contradiction: fit the recordings together even if their gains differ.
 
     Raises:
         InputError: the board is not in a recording, or has too few samples there.
     """
     ordered = in_order_of_time(recordings)
-    return BoardData(board, ordered, tuple(load_samples(r, board) for r in ordered))
+    samples = tuple(load_samples(r, board) for r in ordered)
+    return BoardData(board, ordered, samples, allows_contradiction=allow_contradiction)
 
 
 def read_checked_turns(recording: Recording, samples: GyroSamples) -> TurnReference:

@@ -60,6 +60,7 @@ class CriticisedFit:
     explanation: BoardExplanation | None = None  # where causes were searched for
     criticism: FitCriticism | None = None  # where the model was requested
     attitude_space: AttitudeFitSpace | None = None  # where the reference is attitudes
+    disputed_causes: tuple[str, ...] = ()  # of the unit, about which its boards disagree
 
     @property
     def is_adequate(self) -> bool:

@@ -18,10 +18,12 @@ from gyrorig_protocol.identity import BoardId
 from gyrorig_protocol.recording.recording import Recording
 from gyrorig_solver.discover import MotionFitSpace, criticise_fit
 from gyrorig_solver.estimate import (
+    MIN_HOMOGENEITY_P,
     ConvergedFit,
     FittedTerm,
     GyroFit,
     fit_boards_jointly,
+    homogeneity_p_values,
     is_unit_cause,
 )
 from gyrorig_solver.model import term_label
@@ -30,10 +32,12 @@ from gyrorig_solver.pipeline.board_results import BoardExplanation, CriticisedFi
 from gyrorig_solver.pipeline.explain_board import explain_data, explain_unit_boards
 from gyrorig_solver.pipeline.joint_data import JointData, load_jointly
 from gyrorig_solver.pipeline.prepare_board import PreparedBoard, prepare_board
+from gyrorig_solver.pipeline.recording_agreement import require_agreement
 
 # Joint fits need memory: 16 boards took 200 MB for recordings of 3.7 MB.
 MAX_RECORDING_BYTES = 40_000_000
 AUTO = "auto"
+MIN_STATED_P = 1e-99
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -42,6 +46,7 @@ class JointFit:
 
     fit: GyroFit
     solution: ConvergedFit
+    disputed: tuple[str, ...] = ()  # causes of the unit about which the boards disagree
 
 
 def solve_jointly(
@@ -53,7 +58,8 @@ def solve_jointly(
     """Calibrate boards that were on one unit at the same time; see `estimate.multi_board_fit`.
 
     Each board is fitted separately first. A board that cannot be fitted, or that does not agree
-    with the others, keeps its separate result. A cause that belongs to the unit has one size.
+    with the others, keeps its separate result. A cause that belongs to the unit has one size,
+    unless the boards disagree about it.
 
     Args:
         joint_data: of the boards.
@@ -74,7 +80,10 @@ def solve_jointly(
             separate[board] = solutions.get(board) or prepared[board].solve()
         except GyrorigError as fault:
             fits[board] = fault
-    joint = fit_boards_jointly(separate, _unit_cause_labels(separate.values()))
+    labels = _unit_cause_labels(separate.values())
+    p_values = homogeneity_p_values(separate.values(), labels)
+    differing = {label: p for label, p in p_values.items() if p < MIN_HOMOGENEITY_P}
+    joint = fit_boards_jointly(separate, labels - differing.keys())
     for board, separate_solution in separate.items():
         solution = joint.solutions.get(board, separate_solution)
         sharing = joint_data.shared_clock(board)
@@ -83,11 +92,20 @@ def solve_jointly(
         warnings: tuple[str, ...] = ()
         if board in joint.left_out:
             warnings = (f"this board was solved without the other boards: {joint.left_out[board]}",)
+        fitted_labels = {term_label(cause.term) for cause in separate_solution.fitted_terms}
+        disputed = tuple(label for label in differing if label in fitted_labels)
+        warnings += tuple(
+            f"the boards disagree about the size of {label} (p = "
+            f"{max(differing[label], MIN_STATED_P):.0e}), so it is a cause of each board's mount "
+            "and not of the unit, and the value here is of this board alone; check the screws "
+            "between the boards and the unit"
+            for label in disputed
+        )
         try:
             fit = prepared[board].summarize(solution, warnings, sharing)
             missing = joint_data.boards[board].missing
             fit = replace(fit, warnings=(*missing, *fit.warnings))
-            fits[board] = JointFit(fit, solution)
+            fits[board] = JointFit(fit, solution, disputed)
         except GyrorigError as fault:
             fits[board] = fault
     return fits
@@ -119,6 +137,7 @@ def fit_criticised(data: BoardData, extend: Sequence[str]) -> CriticisedFit:
         InputError: a recording has no reference.
         UsageError: the recordings cannot be solved together, or a cause is unknown.
     """
+    data = require_agreement(data)
     requested = tuple(cause for cause in extend if cause != AUTO)
     if AUTO in extend and data.kind.can_be_searched:
         criticised = data.kind.fit_explained(data, requested, explain_data(data))
@@ -133,6 +152,7 @@ def fit_together(
     boards: Sequence[BoardId],
     method: str = "likelihood",
     extend: Sequence[str] = (AUTO,),
+    allow_contradiction: bool = False,
 ) -> dict[str, CriticisedFit | GyrorigError]:
     """Fit boards that were on one unit at the same time; return each board's fit or its error.
 
@@ -143,7 +163,7 @@ def fit_together(
     if method != "likelihood" or not can_solve_jointly(recordings, boards):
         return {}
     requested = tuple(cause for cause in extend if cause != AUTO)
-    joint_data = load_jointly(recordings, boards)
+    joint_data = load_jointly(recordings, boards, allow_contradiction)
     explained: dict[str, BoardExplanation] = {}
     criticised: dict[str, CriticisedFit | GyrorigError] = {}
     if AUTO in extend:
@@ -158,11 +178,16 @@ def fit_together(
     for name, joint_fit in solve_jointly(usable, requested, named_terms, solutions).items():
         if isinstance(joint_fit, GyrorigError):
             criticised[name] = joint_fit
-        elif name in explained:
-            criticised[name] = CriticisedFit(joint_fit.fit, joint_fit.solution, explained[name])
-        else:
-            criticism = criticise_fit(MotionFitSpace(joint_fit.solution))
-            criticised[name] = CriticisedFit(joint_fit.fit, joint_fit.solution, criticism=criticism)
+            continue
+        explanation = explained.get(name)
+        criticism = None if explanation else criticise_fit(MotionFitSpace(joint_fit.solution))
+        criticised[name] = CriticisedFit(
+            joint_fit.fit,
+            joint_fit.solution,
+            explanation,
+            criticism,
+            disputed_causes=joint_fit.disputed,
+        )
     return criticised
 
 

@@ -32,6 +32,7 @@ from gyrorig_solver.pipeline.board_results import BoardExplanation
 from gyrorig_solver.pipeline.joint_data import JointData, load_jointly
 from gyrorig_solver.pipeline.motion_explanation import explain_motion
 from gyrorig_solver.pipeline.prepare_board import fit_base
+from gyrorig_solver.pipeline.recording_agreement import require_agreement
 from gyrorig_solver.plan import program_text, write_new_file
 from gyrorig_solver.report import draw_findings_figures, render_findings
 from gyrorig_solver.report.figure_layout import standalone_svg
@@ -47,7 +48,9 @@ class WrittenFindings:
 
 
 def explain_boards(
-    recordings: Mapping[BoardId, Sequence[Recording]], held_out: Recording | None = None
+    recordings: Mapping[BoardId, Sequence[Recording]],
+    held_out: Recording | None = None,
+    allow_contradiction: bool = False,
 ) -> Iterator[tuple[BoardId, BoardExplanation | GyrorigError]]:
     """Explain several boards; those on one unit in the same recordings together.
 
@@ -64,7 +67,7 @@ def explain_boards(
         if len(boards) > 1 and has_unit(shared_recordings):
             try:
                 _check_held_out(shared_recordings, held_out)
-                joint_data = load_jointly(shared_recordings, boards)
+                joint_data = load_jointly(shared_recordings, boards, allow_contradiction)
             except GyrorigError as fault:
                 yield from ((board, fault) for board in boards)
                 continue
@@ -72,7 +75,8 @@ def explain_boards(
             continue
         for board in boards:
             try:
-                yield board, explain_board(recordings[board], board, held_out)
+                data = load_board(recordings[board], board, allow_contradiction)
+                yield board, explain_data(data, held_out)
             except GyrorigError as fault:
                 yield board, fault
 
@@ -102,9 +106,11 @@ def explain_data(data: BoardData, held_out: Recording | None = None) -> BoardExp
 
     Raises:
         InputError: there is no reference.
-        UsageError: the recordings cannot be fitted together, or `held_out` is one of them.
+        UsageError: the recordings cannot be fitted together or contradict each other, or
+            `held_out` is one of them.
     """
     _check_held_out(data.recordings, held_out)
+    data = require_agreement(data)
     return data.kind.explain(data, held_out)
 
 

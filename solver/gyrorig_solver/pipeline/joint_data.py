@@ -14,6 +14,7 @@ from gyrorig_solver.data.clocks.shared_time_base import TimeCorrection, fit_shar
 from gyrorig_solver.data.samples import GyroSamples, load_samples
 from gyrorig_solver.estimate import NO_SHARING, BoardSharing
 from gyrorig_solver.pipeline.board_data import BoardData
+from gyrorig_solver.pipeline.recording_agreement import require_agreement
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -41,8 +42,13 @@ class JointData:
         return BoardSharing(on_one_clock=shift.board_count, clock_change_s=shift.rms_s)
 
 
-def load_jointly(recordings: Sequence[Recording], boards: Sequence[str]) -> JointData:
-    """Load boards' samples, with a common time base for those on one bus."""
+def load_jointly(
+    recordings: Sequence[Recording], boards: Sequence[str], allow_contradiction: bool = False
+) -> JointData:
+    """Load boards' samples, with a common time base for those on one bus.
+
+    A board whose recordings contradict each other is an error; see `require_agreement`.
+    """
     ordered = in_order_of_time(recordings)
     samples: dict[str, list[GyroSamples]] = {board: [] for board in boards}
     errors: dict[str, GyrorigError] = {}
@@ -63,9 +69,19 @@ def load_jointly(recordings: Sequence[Recording], boards: Sequence[str]) -> Join
         clock_shifts = fit_shared_time(exchanges)
         for board, shift in clock_shifts.items():
             shift.apply(loaded[board].time_s)  # in place: the clock map shares the array
-    data = {
-        board: BoardData(board, ordered, tuple(samples[board]))
-        for board in boards
-        if board not in errors
-    }
+    data: dict[str, BoardData] = {}
+    for board in boards:
+        if board in errors:
+            continue
+        try:
+            data[board] = require_agreement(
+                BoardData(
+                    board,
+                    ordered,
+                    tuple(samples[board]),
+                    allows_contradiction=allow_contradiction,
+                )
+            )
+        except GyrorigError as fault:
+            errors[board] = fault
     return JointData(ordered, data, errors, clock_shifts)

@@ -72,6 +72,7 @@ def solve_and_store(
     before_writing: Callable[[], None] = lambda: None,
     uncertainty: UncertaintySettings | None = None,
     unit_knowledge: UnitKnowledge | None = None,
+    allow_contradiction: bool = False,
 ) -> StoredResult:
     """Solve one board, and write its next version and its report.
 
@@ -89,6 +90,7 @@ def solve_and_store(
             ones.
         unit_knowledge: what is known of the unit, and where the solve adds to it; by default
             nothing.
+        allow_contradiction: solve the recordings together even if their gains differ.
 
     Raises:
         InputError: the recordings lack something that the method needs, or the stored posterior
@@ -100,7 +102,7 @@ def solve_and_store(
     fit: GyroFit | None = None
     explanation: BoardExplanation | None = None
     unit_version: int | None = None
-    data = load_board(recordings, board)
+    data = load_board(recordings, board, allow_contradiction)
     if method == "paper":
         document = _solve_by_paper(data)
     else:
@@ -207,7 +209,7 @@ def rebuild_report_data(
         )
     if calibration.solver.method == "paper":
         return _report_data(calibration, None)
-    data = load_board(recordings, calibration.board.id)
+    data = load_board(recordings, calibration.board.id, allow_contradiction=True)
     return _report_data(calibration, fit_criticised(data, _requested_causes(calibration)).fit)
 
 

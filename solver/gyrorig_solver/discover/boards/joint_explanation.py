@@ -42,7 +42,12 @@ from gyrorig_solver.discover.fit_explanation import explain_search
 from gyrorig_solver.discover.motion_space import MotionFitSpace
 from gyrorig_solver.discover.score_tests import scan_catalogue
 from gyrorig_solver.discover.testable_terms import FALSE_ALARM_RATE, count_tests, testable_terms
-from gyrorig_solver.estimate import ConvergedFit, FittedTerm, NuisanceProjector
+from gyrorig_solver.estimate import (
+    MIN_HOMOGENEITY_P,
+    ConvergedFit,
+    FittedTerm,
+    NuisanceProjector,
+)
 from gyrorig_solver.model import Term, term_label
 
 DETECTED_NATS = 4.0  # won on a board's own data: less may be chance (once in 200 for one size)
@@ -197,10 +202,18 @@ def _resolve_cause(boards: Sequence[BoardSearch], matched: CauseByBoard) -> None
         # What a unit does all boards show: on one alone, and as little, it is chance.
         for k, (cause, _) in matched.items():
             boards[k].drop_cause(cause)
-    elif hypotheses[0].common is not None:
+    elif _has_one_size(projectors, hypotheses[0].common):
         _fit_common_size(boards, projectors, matched, hypotheses)
     else:
         _fit_separate_sizes(boards, matched, hypotheses)
+
+
+def _has_one_size(projectors: Sequence[NuisanceProjector], common: FittedCandidate | None) -> bool:
+    """Return whether the boards agree about the one size of a cause."""
+    if common is None:
+        return False
+    quadratics = [local_quadratic(projector, common) for projector in projectors]
+    return homogeneity_p_value(quadratics) >= MIN_HOMOGENEITY_P
 
 
 def _fit_common_size(
@@ -323,7 +336,8 @@ def _find_joint_only_causes(boards: Sequence[BoardSearch]) -> None:
         hypotheses.sort(key=lambda hypothesis: -hypothesis.log_evidence)
         best = hypotheses[0].common if hypotheses else None
         if (
-            best is None
+            not _has_one_size(projectors, best)
+            or best is None
             or global_p_value(best, hypotheses[0].effective_trials, tests) > FALSE_ALARM_RATE
         ):
             return

@@ -1,0 +1,138 @@
+"""Whether two recordings of one board can have one gain.
+
+Each recording is fitted alone. The difference of two gains is compared with its uncertainty: that
+of noise, that of causes that the recordings cannot exclude, and that of the scale factors between
+two temperatures. Bias and time offset can change between recordings, so they are not compared.
+
+What to use when: `GainEstimate.of` for the fit of one recording, `compare_gains` for several.
+
+Source: the normalised error of two results, JCGM 100:2008 and ISO 13528, for nine parameters at a
+time: a chi-squared test of their difference.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import combinations
+from typing import Self
+
+import numpy as np
+
+from gyrorig_solver.data import BoolArray, FloatArray
+from gyrorig_solver.discover import CALIBRATION_PARAMETERS
+from gyrorig_solver.discover.calibration_changes import CALIBRATION_UNITS, CalibrationValues
+from gyrorig_solver.estimate import GAIN_PARAMETERS, SESSION_PARAMETERS, ConvergedFit
+from gyrorig_solver.numerics import chi2_upper_tail
+from gyrorig_solver.uncertainty.uncertainty_budget import UncertaintyBudget, assess_uncertainty
+from gyrorig_solver.uncertainty.uncertainty_settings import default_settings
+
+MIN_AGREEMENT_P = 1e-6  # of a pair of recordings, divided by the number of pairs
+SCALES = slice(0, 3)  # of the parameters
+MIN_RELATIVE_VARIANCE = 1e-9  # of the correlation matrix: a direction with less is not compared
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class GainEstimate:
+    """The nine gain parameters of one recording, in the order of `CALIBRATION_PARAMETERS`."""
+
+    name: str  # of the recording
+    values: FloatArray  # (9,)
+    covariance: FloatArray  # (9, 9)
+    is_known: BoolArray  # (9,), False where the data do not determine it
+    temperature_degc: float = float("nan")  # mean of the recording
+
+    @classmethod
+    def of(cls, name: str, solution: ConvergedFit, with_causes: bool) -> Self:
+        """Return the gain of a fit.
+
+        Args:
+            name: of the recording.
+            solution: the fit of this recording alone.
+            with_causes: whether the uncertainty includes causes that the fit has not identified.
+        """
+        calibration = CalibrationValues.of(solution)
+        base = slice(0, GAIN_PARAMETERS + SESSION_PARAMETERS)
+        covariance = (
+            calibration.jacobian
+            @ solution.observability.covariance[base, base]
+            @ calibration.jacobian.T
+        )
+        if with_causes:
+            covariance = covariance + _cause_covariance(assess_uncertainty(solution))
+        context = solution.sessions[-1].context
+        temperature = None if context is None else context.temperature
+        return cls(
+            name,
+            calibration.values[:GAIN_PARAMETERS],
+            covariance[:GAIN_PARAMETERS, :GAIN_PARAMETERS],
+            np.isfinite(calibration.std[:GAIN_PARAMETERS]),
+            float("nan") if temperature is None else temperature.mean_degc,
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class GainDisagreement:
+    """Two recordings whose gains differ by more than their uncertainty."""
+
+    first: str
+    second: str
+    parameter: str  # with the largest difference relative to its standard uncertainty
+    difference: float  # second minus first, in `unit`
+    unit: str
+    sigma: float  # standard uncertainties of the difference
+    p_value: float  # of all parameters
+    degrees: int  # how many were compared
+
+
+def compare_gains(estimates: Sequence[GainEstimate]) -> GainDisagreement | None:
+    """Return the pair of recordings that disagrees most, None if all agree."""
+    pairs = list(combinations(estimates, 2))
+    disagreements = [_compare_pair(first, second) for first, second in pairs]
+    significant = [
+        found
+        for found in disagreements
+        if found is not None and found.p_value * len(pairs) < MIN_AGREEMENT_P
+    ]
+    return min(significant, key=lambda found: (found.p_value, -found.sigma), default=None)
+
+
+def _compare_pair(first: GainEstimate, second: GainEstimate) -> GainDisagreement | None:
+    """Compare what both recordings determine; None if there is nothing."""
+    known = np.flatnonzero(first.is_known & second.is_known)
+    if not known.size:
+        return None
+    difference = (second.values - first.values)[known]
+    covariance = first.covariance + second.covariance + _temperature_covariance(first, second)
+    covariance = covariance[np.ix_(known, known)]
+    std = np.sqrt(np.diag(covariance))
+    eigenvalues, directions = np.linalg.eigh(covariance / np.outer(std, std))
+    used = eigenvalues > MIN_RELATIVE_VARIANCE
+    projected = directions[:, used].T @ (difference / std)
+    statistic, degrees = float(projected**2 @ (1.0 / eigenvalues[used])), int(used.sum())
+    worst = int(np.argmax(np.abs(difference) / std))
+    return GainDisagreement(
+        first=first.name,
+        second=second.name,
+        parameter=CALIBRATION_PARAMETERS[known[worst]],
+        difference=float(difference[worst]),
+        unit=CALIBRATION_UNITS[known[worst]],
+        sigma=float(abs(difference[worst]) / std[worst]),
+        p_value=chi2_upper_tail(statistic, degrees),
+        degrees=degrees,
+    )
+
+
+def _cause_covariance(budget: UncertaintyBudget) -> FloatArray:
+    """Return the type B covariance; an expected error is not corrected, so its square counts."""
+    return np.asarray(
+        budget.covariance + np.outer(budget.expected_error, budget.expected_error), np.float64
+    )
+
+
+def _temperature_covariance(first: GainEstimate, second: GainEstimate) -> FloatArray:
+    """Return the covariance that scale factors have at two temperatures, (9, 9)."""
+    covariance = np.zeros((GAIN_PARAMETERS, GAIN_PARAMETERS))
+    change_degc = second.temperature_degc - first.temperature_degc
+    if np.isfinite(change_degc):
+        size = default_settings().prior_sizes["thermal_scale"].size
+        np.fill_diagonal(covariance[SCALES, SCALES], (size * change_degc) ** 2)
+    return covariance
