@@ -8,7 +8,7 @@ result; `cause_findings` the result types.
 
 from gyrorig_solver.discover.attitude.attitude_space import AttitudeFitSpace
 from gyrorig_solver.discover.boards.joint_explanation import explain_jointly
-from gyrorig_solver.discover.calibration_changes import CALIBRATION_PARAMETERS
+from gyrorig_solver.discover.calibration_changes import CALIBRATION_PARAMETERS, CalibrationValues
 from gyrorig_solver.discover.cause_findings import (
     CauseFindings,
     FitExplanation,
@@ -22,6 +22,7 @@ from gyrorig_solver.discover.motion_space import MotionFitSpace
 __all__ = [
     "CALIBRATION_PARAMETERS",
     "AttitudeFitSpace",
+    "CalibrationValues",
     "CauseFindings",
     "FitCriticism",
     "FitExplanation",

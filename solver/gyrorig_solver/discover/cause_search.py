@@ -36,6 +36,9 @@ from gyrorig_solver.model import Term, term_label
 MAX_CAUSES = 12
 # Of causes that are significant with typical noise levels only: the bias has a random walk.
 MAX_NOISE_ALTERNATIVES = 3
+# Of the likelihood, by all refits; the ranking of the causes that were found comes on top. A search
+# that needs more tries to explain what no cause explains.
+MAX_SEARCH_EVALUATIONS = 2000
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -88,10 +91,14 @@ class _Search(Generic[Space]):
         self._considered: dict[str, set[str]] = {}
         self._gains_by_label: Mapping[str, float] = {}
         self._memory = _SearchMemory([base])
+        self._last_evaluation = base.effort.evaluations + MAX_SEARCH_EVALUATIONS
 
     def run(self) -> SearchResult[Space]:
-        """Add and remove causes until none is significant; rank them and return the result."""
-        while True:
+        """Add and remove causes until none is significant; rank them and return the result.
+
+        A search that reaches its limit ends with the best model so far.
+        """
+        while not self._is_at_limit:
             selection = self._select()
             if selection is not None and len(self._space.fitted_terms) < MAX_CAUSES:
                 self._try_cause(selection)
@@ -113,6 +120,10 @@ class _Search(Generic[Space]):
         self._space, self._scored_projection = space, None
         del self._projection  # two of them would need the memory of two
         self._projection = space.projector(self._typical)
+
+    @property
+    def _is_at_limit(self) -> bool:
+        return self._space.effort.evaluations >= self._last_evaluation
 
     @property
     def _left_out(self) -> set[str]:
@@ -143,7 +154,12 @@ class _Search(Generic[Space]):
         return None
 
     def _fit_law(self, term: Term, needed_nats: float) -> FittedCandidate | None:
-        """Fit a candidate under its own motion law; None if the fit does not converge."""
+        """Fit a candidate under its own motion law; None if the fit does not converge.
+
+        At the limit of the search, no more candidate is fitted.
+        """
+        if self._is_at_limit:
+            return None
         fitted = fit_law_cause(self._space, term, needed_nats=needed_nats)
         if fitted.candidate is None:
             self._memory.leave_out(term_label(term), fitted.space)
@@ -228,12 +244,15 @@ class _Search(Generic[Space]):
         return space
 
     def _ranked_result(self) -> SearchResult[Space]:
+        remarks = self._limit_remarks()
         space, ranked_causes = review_ranking(
             self._space,
             self._terms,
             self._tests,
             self._considered,
-            lambda swapped: swapped.convergence.converged and not _causes_without_gain(swapped),
+            lambda swapped: (
+                swapped.convergence.converged and not _causes_without_gain(swapped) and not remarks
+            ),
         )
         if space is not self._space:
             space = space.confirm()
@@ -244,7 +263,22 @@ class _Search(Generic[Space]):
             self._projection if keep else space.projector(),
             tuple(self._scores),
             tuple(self._noise_alternatives),
-            self._memory.remarks(space),
+            (*remarks, *self._memory.remarks(space)),
+        )
+
+    def _limit_remarks(self) -> tuple[str, ...]:
+        """Return the remark that the search stopped at its limit, and what it had found."""
+        if not self._is_at_limit:
+            return ()
+        names = ", ".join(
+            term_label(fitted_term.term)
+            for fitted_term in self._space.fitted_terms
+            if fitted_term not in self._known_terms
+        )
+        return (
+            f"the search for causes stopped at its limit of {MAX_SEARCH_EVALUATIONS} evaluations "
+            f"of the likelihood; the causes that it had found are {names or 'none'}, and other "
+            "causes are possible",
         )
 
 

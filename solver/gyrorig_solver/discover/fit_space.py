@@ -37,6 +37,17 @@ class NoiseAlternative:
     log_evidence: float  # of the cause with a typical bias, against a random walk without it
 
 
+@dataclass(slots=True)
+class SearchEffort:
+    """What the refits of a search have cost; common to all fits that start from one fit."""
+
+    evaluations: int = 0  # of the likelihood
+
+    def add(self, convergence: Convergence) -> None:
+        """Count a refit, at least one evaluation."""
+        self.evaluations += max(1, convergence.evaluations)
+
+
 class FitSpace(ABC):
     """A fit and the causes in it. It never changes: a refit is another one."""
 
@@ -49,6 +60,7 @@ class FitSpace(ABC):
     fitted_terms: tuple[FittedTerm, ...]
     convergence: Convergence
     observability: ObservabilityAnalysis  # of G, the last (b, tau), and last the causes' values
+    effort: SearchEffort
     outliers: int = 0  # samples rejected as outliers of this model
     has_typical_noise: bool = True  # levels are those of a typical part: no cause hides in them
 

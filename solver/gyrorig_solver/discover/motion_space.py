@@ -24,7 +24,7 @@ from gyrorig_solver.discover.checks.typical_noise import (
 )
 from gyrorig_solver.discover.exact_fit import FittedCandidate, fit_candidate
 from gyrorig_solver.discover.extended_fit import refit_gain_exactly
-from gyrorig_solver.discover.fit_space import FitSpace, NoiseAlternative
+from gyrorig_solver.discover.fit_space import FitSpace, NoiseAlternative, SearchEffort
 from gyrorig_solver.estimate import (
     MAX_EVALUATIONS,
     ConvergedFit,
@@ -48,8 +48,9 @@ from gyrorig_solver.model.catalogue import catalogue
 class MotionFitSpace(FitSpace):
     """A fit to the motion of a unit or to rest."""
 
-    def __init__(self, solution: ConvergedFit) -> None:
-        """Wrap a fit; its recordings have contexts."""
+    def __init__(self, solution: ConvergedFit, effort: SearchEffort | None = None) -> None:
+        """Wrap a fit; its recordings have contexts. `effort`: of the search that made it."""
+        self.effort = SearchEffort() if effort is None else effort
         self.solution, self.terms = solution, catalogue()
         self.fitted_terms, self.convergence = solution.fitted_terms, solution.convergence
         self.observability, self.outliers = solution.observability, solution.outliers
@@ -81,7 +82,9 @@ class MotionFitSpace(FitSpace):
         self, fitted_terms: Sequence[FittedTerm], max_evaluations: int = MAX_EVALUATIONS
     ) -> Self:
         """Return the fit with these causes, from the values of this one."""
-        return type(self)(refit_with_terms(self.solution, fitted_terms, max_evaluations))
+        refitted = refit_with_terms(self.solution, fitted_terms, max_evaluations)
+        self.effort.add(refitted.convergence)
+        return type(self)(refitted, self.effort)
 
     def changes_law(self, term: Term) -> bool:
         """Return whether a cause changes the motion law of the unit."""
@@ -102,12 +105,12 @@ class MotionFitSpace(FitSpace):
 
     def confirm(self) -> Self:
         """Return the fit, continued where new derivatives would change its values."""
-        return type(self)(confirm_fit(self.solution))
+        return type(self)(confirm_fit(self.solution), self.effort)
 
     def refit_gain(self) -> Self:
         """Return the fit with its gain searched again where a threshold or limit hides rates."""
         refitted = refit_gain_exactly(self.solution)
-        return self if refitted is self.solution else type(self)(refitted)
+        return self if refitted is self.solution else type(self)(refitted, self.effort)
 
     def negative_log_likelihood(self, noise_of: Self) -> float:
         """Return that of the fit at the typical noise levels of another one."""

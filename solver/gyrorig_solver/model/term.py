@@ -179,6 +179,7 @@ class Term(ABC):
     holds_shapes: bool = False  # a fit is rough in the shapes: they are found like an event
     equivalent_causes: tuple[str, ...] = ()  # the same function on one of its axes
     first_order_equivalent: str = ""  # the cause that replaces it in the first scan
+    scale_follows_temperature: bool = False  # its size is a change of the scale factor per kelvin
     confounded_with_gain: bool = False  # the gain absorbs it, so its size can stay unobservable
     is_whole_steps: bool = False  # its size is at least one step
     nameless_description: str = ""  # if it is compared like a cause and reported as unexplained

@@ -9,6 +9,8 @@ from dataclasses import dataclass
 from functools import cache, cached_property
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from gyrorig_protocol.errors import InputError, UsageError
 from gyrorig_protocol.module_registry import registered_modules
 from gyrorig_protocol.recording.recording import Recording, in_order_of_time
@@ -23,6 +25,7 @@ if TYPE_CHECKING:  # a kind uses the data of a board
     from gyrorig_solver.pipeline.reference_kind import ReferenceKind
 
 UNIT_TOPIC = "/ptu/position"
+PIECE_SAMPLES = 1000  # that are compared at a time
 Session = tuple[Recording, GyroSamples, ReferenceMotion]
 
 
@@ -106,11 +109,31 @@ def load_board(
         allow_contradiction: fit the recordings together even if their gains differ.
 
     Raises:
-        InputError: the board is not in a recording, or has too few samples there.
+        InputError: the board is not in a recording, has too few samples there, or all of them are
+            equal.
     """
     ordered = in_order_of_time(recordings)
-    samples = tuple(load_samples(r, board) for r in ordered)
+    samples = tuple(load_changing_samples(r, board) for r in ordered)
     return BoardData(board, ordered, samples, allows_contradiction=allow_contradiction)
+
+
+def load_changing_samples(recording: Recording, board: str) -> GyroSamples:
+    """Load one board's samples from one recording.
+
+    Raises:
+        InputError: the board is not in the recording, has too few samples there, or all of them
+            are equal.
+    """
+    samples = load_samples(recording, board)
+    rates = samples.rate_rad_s
+    for first in range(0, len(rates), PIECE_SAMPLES):
+        if np.any(rates[first : first + PIECE_SAMPLES] != rates[:1]):
+            return samples
+    raise InputError(
+        f"all {len(rates)} samples of board {board} in the recording {recording.path.name} are "
+        "equal, so the sensor did not measure",
+        "check the power mode and the register addresses of the sensor, and record again",
+    )
 
 
 def read_checked_turns(recording: Recording, samples: GyroSamples) -> TurnReference:

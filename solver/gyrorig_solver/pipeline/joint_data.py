@@ -11,9 +11,9 @@ from dataclasses import dataclass, replace
 from gyrorig_protocol.errors import GyrorigError
 from gyrorig_protocol.recording.recording import Recording, in_order_of_time
 from gyrorig_solver.data.clocks.shared_time_base import TimeCorrection, fit_shared_time
-from gyrorig_solver.data.samples import GyroSamples, load_samples
+from gyrorig_solver.data.samples import GyroSamples
 from gyrorig_solver.estimate import NO_SHARING, BoardSharing
-from gyrorig_solver.pipeline.board_data import BoardData
+from gyrorig_solver.pipeline.board_data import BoardData, load_changing_samples
 from gyrorig_solver.pipeline.recording_agreement import require_agreement
 
 
@@ -57,7 +57,7 @@ def load_jointly(
         loaded: dict[str, GyroSamples] = {}
         for board in boards:
             try:
-                loaded[board] = load_samples(recording, board)
+                loaded[board] = load_changing_samples(recording, board)
                 samples[board].append(loaded[board])
             except GyrorigError as fault:
                 errors.setdefault(board, fault)

@@ -93,12 +93,12 @@ def _fit_alone(data: BoardData) -> ConvergedFit | None:
     return fit if fit.converged else None
 
 
-def _problem(found: GainDisagreement, board: str) -> str:
-    unit = "" if found.unit == "1" else f" {found.unit}"
-    sigma = f"{min(found.sigma, MAX_SIGMA_STATED):.3g}"
-    more = "more than " if found.sigma > MAX_SIGMA_STATED else ""
+def _problem(disagreement: GainDisagreement, board: str) -> str:
+    unit = "" if disagreement.unit == "1" else f" {disagreement.unit}"
+    sigma = f"{min(disagreement.sigma, MAX_SIGMA_STATED):.3g}"
+    more = "more than " if disagreement.sigma > MAX_SIGMA_STATED else ""
     return (
-        f"the recordings {found.first} and {found.second} contradict each other about board "
-        f"{board}: {found.parameter} differs by {abs(found.difference):.3g}{unit}, which is {more}"
-        f"{sigma} standard uncertainties"
+        f"the recordings {disagreement.first} and {disagreement.second} contradict each other "
+        f"about board {board}: {disagreement.parameter} differs by "
+        f"{abs(disagreement.difference):.3g}{unit}, which is {more}{sigma} standard uncertainties"
     )

@@ -18,9 +18,10 @@ from typing import Self
 import numpy as np
 
 from gyrorig_solver.data import BoolArray, FloatArray
-from gyrorig_solver.discover import CALIBRATION_PARAMETERS
-from gyrorig_solver.discover.calibration_changes import CALIBRATION_UNITS, CalibrationValues
+from gyrorig_solver.discover import CALIBRATION_PARAMETERS, CalibrationValues
+from gyrorig_solver.discover.calibration_changes import CALIBRATION_UNITS
 from gyrorig_solver.estimate import GAIN_PARAMETERS, SESSION_PARAMETERS, ConvergedFit
+from gyrorig_solver.model import find_term
 from gyrorig_solver.numerics import chi2_upper_tail
 from gyrorig_solver.uncertainty.uncertainty_budget import UncertaintyBudget, assess_uncertainty
 from gyrorig_solver.uncertainty.uncertainty_settings import default_settings
@@ -88,11 +89,15 @@ def compare_gains(estimates: Sequence[GainEstimate]) -> GainDisagreement | None:
     pairs = list(combinations(estimates, 2))
     disagreements = [_compare_pair(first, second) for first, second in pairs]
     significant = [
-        found
-        for found in disagreements
-        if found is not None and found.p_value * len(pairs) < MIN_AGREEMENT_P
+        disagreement
+        for disagreement in disagreements
+        if disagreement is not None and disagreement.p_value * len(pairs) < MIN_AGREEMENT_P
     ]
-    return min(significant, key=lambda found: (found.p_value, -found.sigma), default=None)
+    return min(
+        significant,
+        key=lambda disagreement: (disagreement.p_value, -disagreement.sigma),
+        default=None,
+    )
 
 
 def _compare_pair(first: GainEstimate, second: GainEstimate) -> GainDisagreement | None:
@@ -133,6 +138,11 @@ def _temperature_covariance(first: GainEstimate, second: GainEstimate) -> FloatA
     covariance = np.zeros((GAIN_PARAMETERS, GAIN_PARAMETERS))
     change_degc = second.temperature_degc - first.temperature_degc
     if np.isfinite(change_degc):
-        size = default_settings().prior_sizes["thermal_scale"].size
-        np.fill_diagonal(covariance[SCALES, SCALES], (size * change_degc) ** 2)
+        prior_sizes = default_settings().prior_sizes
+        variance = sum(
+            (prior.size * change_degc) ** 2
+            for cause, prior in prior_sizes.items()
+            if find_term(cause).scale_follows_temperature
+        )
+        np.fill_diagonal(covariance[SCALES, SCALES], variance)
     return covariance

@@ -9,8 +9,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gyrorig_solver.data import FloatArray, IntArray
-from gyrorig_solver.discover import CALIBRATION_PARAMETERS, AttitudeFitSpace
-from gyrorig_solver.discover.calibration_changes import CalibrationValues, last_recording_part
+from gyrorig_solver.discover import (
+    CALIBRATION_PARAMETERS,
+    AttitudeFitSpace,
+    CalibrationValues,
+)
+from gyrorig_solver.discover.calibration_changes import last_recording_part
 from gyrorig_solver.estimate import (
     GAIN_PARAMETERS,
     SESSION_PARAMETERS,

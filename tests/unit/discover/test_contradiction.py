@@ -28,11 +28,15 @@ def _estimate(name: str, scale_x: float = 1.0, temperature_degc: float = 25.0) -
 
 def test_the_pair_that_disagrees_most_is_named() -> None:
     estimates = [_estimate("a"), _estimate("b", 1.001), _estimate("c", 1.05)]
-    found = compare_gains(estimates)
-    assert found is not None
-    assert (found.first, found.second, found.parameter) == ("a", "c", "scale.x")
-    assert found.sigma == pytest.approx(0.05 / (STD * 2.0**0.5))
-    assert found.degrees == 9
+    disagreement = compare_gains(estimates)
+    assert disagreement is not None
+    assert (disagreement.first, disagreement.second, disagreement.parameter) == (
+        "a",
+        "c",
+        "scale.x",
+    )
+    assert disagreement.sigma == pytest.approx(0.05 / (STD * 2.0**0.5))
+    assert disagreement.degrees == 9
     assert compare_gains(estimates[:2]) is None
 
 

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from gyrorig_solver.discover import explain_fit, motion_space
+from gyrorig_solver.discover import cause_search, explain_fit, motion_space
 from gyrorig_solver.discover.cause_search import search_causes
 from gyrorig_solver.discover.model_evidence import best_model
 from gyrorig_solver.discover.motion_space import MotionFitSpace
@@ -61,6 +61,23 @@ def test_a_candidate_whose_fit_does_not_converge_is_left_out(
         text.startswith("the cause backlash was left out") and "backlash.gap.tilt" in text
         for text in explanation.remarks
     )
+
+
+def test_a_search_stops_at_its_limit_and_says_so(
+    base: ConvergedFit, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    whole = MotionFitSpace(base)
+    assert not any("limit" in text for text in search_causes(whole).remarks)
+    assert 0 < whole.effort.evaluations < cause_search.MAX_SEARCH_EVALUATIONS / 10
+    monkeypatch.setattr(cause_search, "MAX_SEARCH_EVALUATIONS", 1)
+    limited = search_causes(MotionFitSpace(base))
+    assert limited.space.convergence.converged
+    (remark,) = (text for text in limited.remarks if "limit" in text)
+    assert "stopped at its limit of 1 evaluations" in remark
+    assert "the causes that it had found are backlash" in remark
+    monkeypatch.setattr(cause_search, "MAX_SEARCH_EVALUATIONS", 0)
+    (remark,) = search_causes(MotionFitSpace(base)).remarks
+    assert "had found are none" in remark
 
 
 def test_the_best_visited_model_is_the_answer(base: ConvergedFit, named: ConvergedFit) -> None:

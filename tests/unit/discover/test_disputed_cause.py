@@ -51,11 +51,11 @@ def solved(hidden: Callable[..., Any], tmp_path_factory: pytest.TempPathFactory)
         for name, size_rad in zip(BOARDS, sizes_rad, strict=True):
             session = hidden(f"backlash@tilt:{size_rad}", seed=3, config=Path(config))
             data[name] = load_board([session.recording], name)
-        found = explain_jointly({name: fit_base(board) for name, board in data.items()})
+        explained = explain_jointly({name: fit_base(board) for name, board in data.items()})
         joint = solve_jointly(
             JointData(data[BOARDS[0]].recordings, data, {}, {}),
-            named_terms={name: each.findings.fitted_terms for name, each in found.items()},
-            solutions={name: each.solution_extended for name, each in found.items()},
+            named_terms={name: each.findings.fitted_terms for name, each in explained.items()},
+            solutions={name: each.solution_extended for name, each in explained.items()},
         )
         fits = {name: fit for name, fit in joint.items() if isinstance(fit, JointFit)}
         assert list(fits) == list(BOARDS)

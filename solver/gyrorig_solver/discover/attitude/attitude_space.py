@@ -25,7 +25,7 @@ from gyrorig_solver.discover.candidate_objective import MIN_STEP_GAIN_NATS, Cand
 from gyrorig_solver.discover.cause_findings import DependenceTest
 from gyrorig_solver.discover.checks.residual_dependence import dependences_on
 from gyrorig_solver.discover.checks.smooth_alternatives import smooth_families
-from gyrorig_solver.discover.fit_space import FitSpace
+from gyrorig_solver.discover.fit_space import FitSpace, SearchEffort
 from gyrorig_solver.estimate import (
     MAX_EVALUATIONS,
     Convergence,
@@ -206,13 +206,20 @@ class AttitudeFitSpace(FitSpace):
 
     needs_held_out_gain = True
 
-    def __init__(self, at: AttitudeLinearisation, effects: CauseEffects | None = None) -> None:
+    def __init__(
+        self,
+        at: AttitudeLinearisation,
+        effects: CauseEffects | None = None,
+        effort: SearchEffort | None = None,
+    ) -> None:
         """Use `fit_attitude_space`, and `refit` for causes.
 
         Args:
             at: where the fit is linear.
             effects: the fitted causes.
+            effort: of the search that made the fit.
         """
+        self.effort = SearchEffort() if effort is None else effort
         self.at, self.base, self.fit = at, at.projector, at.fit
         self.terms, self.base_terms = attitude_terms(), at.fit.terms
         contexts = {state.context.recording_index: state.context for state in self.base.states}
@@ -237,7 +244,9 @@ class AttitudeFitSpace(FitSpace):
         self, fitted_terms: Sequence[FittedTerm], max_evaluations: int = MAX_EVALUATIONS
     ) -> Self:
         """Return the fit with these causes."""
-        return type(self)(self.at, CauseEffects(self.base, fitted_terms, max_evaluations))
+        effects = CauseEffects(self.base, fitted_terms, max_evaluations)
+        self.effort.add(effects.convergence)
+        return type(self)(self.at, effects, self.effort)
 
     def relinearised(self) -> Self:
         """Return the fit about the point where gain, biases, lags and causes agree.
@@ -258,7 +267,8 @@ class AttitudeFitSpace(FitSpace):
             solved = solve_without_effects(space.at.solved, effects)
             at = AttitudeLinearisation.of(space.at.recordings, solved, space.fitted_terms)
             before = space
-            space = type(self)(at, CauseEffects(at.projector, space.fitted_terms, MAX_EVALUATIONS))
+            fitted_effects = CauseEffects(at.projector, space.fitted_terms, MAX_EVALUATIONS)
+            space = type(self)(at, fitted_effects, self.effort)
             if space._largest_change_sigma(before) < CONVERGED_SIGMA:
                 break
         return space

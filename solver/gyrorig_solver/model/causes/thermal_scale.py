@@ -29,6 +29,7 @@ class ThermalScale(LinearTerm):
     covariates = ("time",)
     picture = BinnedDependence("gain", "temperature", 10)
     depends_on_temperature = True
+    scale_follows_temperature = True
     excitation = "the same fast moves at temperatures 20 K apart"
     effect_if_ignored = "the scale factor is valid at the temperature of the recording only"
 
