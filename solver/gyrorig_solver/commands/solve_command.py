@@ -102,7 +102,15 @@ def solve_command(
     name = recordings[0].name if len(recordings) == 1 else f"{len(recordings)} recordings"
     with limit_memory_by_size(name, size_of_inputs(recordings)):
         return _solve_recordings(
-            terminal, recordings, board, method, causes, out, settings, knowledge
+            terminal,
+            recordings,
+            board,
+            method,
+            causes,
+            out,
+            settings,
+            knowledge,
+            allow_contradiction,
         )
 
 
@@ -115,6 +123,7 @@ def _solve_recordings(
     out: Path,
     settings: UncertaintySettings | None,
     knowledge: UnitKnowledge,
+    allow_contradiction: bool,
 ) -> int:
     """Read, solve and print, and return the exit status."""
     solved: list[StoredResult] = []
