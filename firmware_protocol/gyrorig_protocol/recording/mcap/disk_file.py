@@ -9,9 +9,12 @@ the process ends for any reason.
 
 import fcntl
 import os
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+
+FOLDER_LOCK_S = 2.0
 
 
 class DiskFile:
@@ -28,7 +31,7 @@ class DiskFile:
         flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC
         folder = os.open(path.parent, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
         try:  # `list_abandoned_files` never sees the file without its lock
-            _take_lock(folder, fcntl.LOCK_SH)
+            _take_lock_soon(folder, fcntl.LOCK_SH)
             self._descriptor = os.open(path, flags, 0o644)
             _take_lock(self._descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         finally:
@@ -142,6 +145,16 @@ def hold_lock(path: Path) -> Iterator[bool]:
         yield _take_lock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
     finally:
         os.close(descriptor)
+
+
+def _take_lock_soon(descriptor: int, kind: int) -> None:
+    """Lock a folder, or go on without the lock after a while.
+
+    Our programs hold it for milliseconds. Everybody who can read the folder could hold it for ever.
+    """
+    end_s = time.monotonic() + FOLDER_LOCK_S
+    while not _take_lock(descriptor, kind | fcntl.LOCK_NB) and time.monotonic() < end_s:
+        time.sleep(0.01)
 
 
 def _take_lock(descriptor: int, kind: int) -> bool:
