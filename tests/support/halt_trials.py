@@ -15,7 +15,7 @@ from pathlib import Path
 
 from tests.support.served_rig import FAR, Devices, Service, wait_for
 
-XOFF = b"\x13"
+XOFF, XON = b"\x13", b"\x11"  # Ctrl-S, Ctrl-Q
 HANGING_DISK = Path(__file__).with_name("hanging_disk.c")
 _FLOOD = """
 import os, sys

@@ -2,10 +2,13 @@
 
 import os
 import signal
+import subprocess
+import time
 
 import pytest
 from tests.support.halt_trials import (
     XOFF,
+    XON,
     flooding_board,
     hanging_disk,
     make_unit_say,
@@ -13,7 +16,7 @@ from tests.support.halt_trials import (
     set_in_motion,
     terminal,
 )
-from tests.support.served_rig import Devices, Service, wait_for
+from tests.support.served_rig import FAR, GYRORIGD, Devices, Service, wait_for
 
 from gyrorig_daemon.emulator.pty_server import raw_now_ns
 from gyrorig_daemon.service.service_client import send_command
@@ -123,3 +126,24 @@ def test_a_queue_of_very_many_files_delays_no_halt(service: Service, devices: De
     begun_ns = raw_now_ns()
     send_command(service.socket, "halt")
     assert devices.halt_after_s(begun_ns, 10.0) < ORDERED_S
+
+
+def test_a_stopped_terminal_delays_no_halt_of_a_recording(
+    service: Service, devices: Devices
+) -> None:
+    program = service.folder / "far.yaml"
+    program.write_bytes(FAR)
+    command = [*GYRORIGD, "--verbose", "record", "--config", service.config]
+    command += ["--program", program, "--out", service.folder / "out"]
+    with terminal() as (screen, line):
+        process = subprocess.Popen(command, stderr=line, stdout=subprocess.DEVNULL)
+        wait_for(devices.turning)
+        os.write(screen, XOFF)
+        time.sleep(SILENCE_S + 1.0)  # a loop that waits for the terminal would be halted
+        assert devices.turning()
+        begun_ns = raw_now_ns()
+        process.send_signal(signal.SIGTERM)
+        assert devices.halt_after_s(begun_ns, 10.0) < ORDERED_S
+        wait_for(lambda: list((service.folder / "out").glob("*.mcap")))
+        os.write(screen, XON)
+        assert process.wait(30) == 1
