@@ -4,6 +4,7 @@ import os
 import signal
 import subprocess
 import time
+from pathlib import Path
 
 import pytest
 from tests.support.halt_trials import (
@@ -133,7 +134,7 @@ def test_a_stopped_terminal_delays_no_halt_of_a_recording(
 ) -> None:
     program = service.folder / "far.yaml"
     program.write_bytes(FAR)
-    command = [*GYRORIGD, "--verbose", "record", "--config", service.config]
+    command: list[str | Path] = [*GYRORIGD, "--verbose", "record", "--config", service.config]
     command += ["--program", program, "--out", service.folder / "out"]
     with terminal() as (screen, line):
         process = subprocess.Popen(command, stderr=line, stdout=subprocess.DEVNULL)
