@@ -316,7 +316,7 @@ def archive_bomb(path: Path, size: int) -> Path:
             shape: tuple[int, ...] = (rows,) if name == "time" else (rows // 3, 3)
             description = {"descr": "<f8", "fortran_order": False, "shape": shape}
             np.lib.format.write_array_header_1_0(head, description)
-            with archive.open(f"{name}.npy", "w") as file:
+            with archive.open(f"{name}.npy", "w", force_zip64=True) as file:
                 file.write(head.getvalue())
                 for _ in range(max(1, min(rows * 8, size * 400) // 1_000_000)):
                     file.write(bytes(1_000_000))
