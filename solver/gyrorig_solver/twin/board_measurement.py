@@ -90,7 +90,10 @@ def _noise_levels(criticised: CriticisedFit) -> tuple[Vector | None, ...]:
     noise, solution = criticised.fit.noise, criticised.solution
     if noise is None:
         return None, None, None
-    levels = (noise.angle_random_walk, noise.bias_instability, noise.rate_random_walk)
+    white = noise.angle_random_walk
+    if solution is not None:
+        white = white * mean_white_factor(solution.spectra[-1])
+    levels = (white, noise.bias_instability, noise.rate_random_walk)
     units = ("rad/s/sqrt(Hz)", "rad/s", "rad/s/sqrt(s)")
     if solution is None:
         return tuple(vector(values, None, unit) for values, unit in zip(levels, units, strict=True))
@@ -104,6 +107,18 @@ def _noise_levels(criticised: CriticisedFit) -> tuple[Vector | None, ...]:
         )
         for k in range(PROCESSES)
     )
+
+
+def mean_white_factor(spectrum: Spectrum) -> FloatArray:
+    """Return the white noise of a recording relative to that at rest, shape (3,).
+
+    A fit can find more white noise in motion than at rest. The emulated rig has the same noise
+    always, so it gets the mean of both.
+    """
+    if spectrum.white_power is None:
+        return np.ones(3)
+    power = np.average(spectrum.white_power, axis=0, weights=spectrum.count)
+    return np.asarray(np.sqrt(power), dtype=np.float64)
 
 
 def _relative_level_stds(noise: NoiseModel, spectrum: Spectrum) -> FloatArray:
