@@ -87,7 +87,9 @@ class Reader:
             text = " ".join(str(getattr(fault, "stderr", None) or fault).split())
             raise DocumentError(f"{block.where}: no {block.place} to run it in: {text}") from fault
         if block.how == "save":
-            (place.folder / block.detail).write_text(block.body, encoding="utf-8")
+            saved = place.folder / block.detail
+            saved.parent.mkdir(parents=True, exist_ok=True)
+            saved.write_text(block.body, encoding="utf-8")
             return
         if block.how == "serve":
             self._serve(block, place)
