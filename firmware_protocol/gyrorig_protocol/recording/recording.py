@@ -210,6 +210,11 @@ class Recording:
         return min(first), max(last)
 
     @property
+    def message_count(self) -> int:
+        """The number of messages in all topics."""
+        return sum(len(topic) for topic in self.topics.values())
+
+    @property
     def start_ns(self) -> int:
         """First log time."""
         return self.span_ns[0]

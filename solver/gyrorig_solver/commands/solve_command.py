@@ -32,7 +32,7 @@ from gyrorig_solver.pipeline import (
     fit_together,
     solve_and_store,
 )
-from gyrorig_solver.storage import Folder, limit_input, limit_memory_by_size, size_of_inputs
+from gyrorig_solver.storage import Folder, limit_fit_memory, limit_input, size_of_inputs
 from gyrorig_solver.uncertainty import UncertaintySettings, read_settings
 
 
@@ -99,36 +99,8 @@ def solve_command(
     causes = _requested_causes(extend, method)
     settings = None if uncertainty is None else read_settings(uncertainty)
     knowledge = read_unit_knowledge(unit_prior, Folder(out))
-    name = recordings[0].name if len(recordings) == 1 else f"{len(recordings)} recordings"
-    with limit_memory_by_size(name, size_of_inputs(recordings)):
-        return _solve_recordings(
-            terminal,
-            recordings,
-            board,
-            method,
-            causes,
-            out,
-            settings,
-            knowledge,
-            allow_contradiction,
-        )
-
-
-def _solve_recordings(
-    terminal: Terminal,
-    recordings: Sequence[Path],
-    board: str | None,
-    method: str,
-    causes: Sequence[str],
-    out: Path,
-    settings: UncertaintySettings | None,
-    knowledge: UnitKnowledge,
-    allow_contradiction: bool,
-) -> int:
-    """Read, solve and print, and return the exit status."""
-    solved: list[StoredResult] = []
-    failed: list[dict[str, str]] = []
     faults: list[GyrorigError] = []
+    failed: list[dict[str, str]] = []
     read_recordings: list[Recording] = []
     for path in recordings:
         terminal.print_progress(f"reading {path.name}")
@@ -139,6 +111,39 @@ def _solve_recordings(
         except GyrorigError as fault:
             faults.append(fault)
             failed.append({"recording": str(path), "board": "", "error": str(fault)})
+    name = recordings[0].name if len(recordings) == 1 else f"{len(recordings)} recordings"
+    message_count = sum(recording.message_count for recording in read_recordings)
+    with limit_fit_memory(name, size_of_inputs(recordings), message_count):
+        return _solve_recordings(
+            terminal,
+            read_recordings,
+            board,
+            method,
+            causes,
+            out,
+            settings,
+            knowledge,
+            allow_contradiction,
+            faults,
+            failed,
+        )
+
+
+def _solve_recordings(
+    terminal: Terminal,
+    read_recordings: Sequence[Recording],
+    board: str | None,
+    method: str,
+    causes: Sequence[str],
+    out: Path,
+    settings: UncertaintySettings | None,
+    knowledge: UnitKnowledge,
+    allow_contradiction: bool,
+    faults: list[GyrorigError],
+    failed: list[dict[str, str]],
+) -> int:
+    """Solve and print, and return the exit status; `faults`, `failed`: of the recordings so far."""
+    solved: list[StoredResult] = []
     for names, group_recordings in _boards_solved_together(
         read_recordings, board, one_by_one=method == "paper"
     ):

@@ -8,9 +8,11 @@ What to use when: `MotionFitSpace` for a board on a pan-tilt unit or at rest, `A
 reference attitudes.
 """
 
+import weakref
 from abc import ABC, abstractmethod
+from collections import deque
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Self, TypeVar
 
 from gyrorig_solver.data import FloatArray
@@ -25,6 +27,9 @@ from gyrorig_solver.estimate import (
     ObservabilityAnalysis,
 )
 from gyrorig_solver.model import Term
+
+# The caches of one fit take about 3 kB per sample.
+MAX_SPACES_WITH_CACHES = 1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -42,10 +47,19 @@ class SearchEffort:
     """What the refits of a search have cost; common to all fits that start from one fit."""
 
     evaluations: int = 0  # of the likelihood
+    _latest: deque["weakref.ref[FitSpace]"] = field(default_factory=deque)  # with their caches
 
-    def add(self, convergence: Convergence) -> None:
-        """Count a refit, at least one evaluation."""
-        self.evaluations += max(1, convergence.evaluations)
+    def add(self, space: "FitSpace") -> None:
+        """Count a refit, at least one evaluation, and free the caches of an older one.
+
+        A search holds many fits, and the next projector is usually that of the latest one.
+        """
+        self.evaluations += max(1, space.convergence.evaluations)
+        self._latest.append(weakref.ref(space))
+        if len(self._latest) > MAX_SPACES_WITH_CACHES:
+            oldest = self._latest.popleft()()
+            if oldest is not None:
+                oldest.release_caches()
 
 
 class FitSpace(ABC):

@@ -83,8 +83,9 @@ class MotionFitSpace(FitSpace):
     ) -> Self:
         """Return the fit with these causes, from the values of this one."""
         refitted = refit_with_terms(self.solution, fitted_terms, max_evaluations)
-        self.effort.add(refitted.convergence)
-        return type(self)(refitted, self.effort)
+        space = type(self)(refitted, self.effort)
+        self.effort.add(space)
+        return space
 
     def changes_law(self, term: Term) -> bool:
         """Return whether a cause changes the motion law of the unit."""

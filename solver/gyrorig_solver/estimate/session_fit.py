@@ -342,10 +342,10 @@ class SessionFit:
         return total
 
     def release_caches(self) -> None:
-        """Free signal states and spectra, which are computed again when they are needed."""
+        """Free signal states and derivatives, which are computed again when they are needed."""
         self._signal_states.clear()
-        for model in self._models.values():
-            model.release_spectra()
+        self._models.clear()
+        self._cached_equations = None
 
     def release_equations(self) -> None:
         """Free the normal equations: only further iterations would need them."""

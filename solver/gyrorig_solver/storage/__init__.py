@@ -9,9 +9,10 @@ from gyrorig_solver.storage.file_writing import write_file
 from gyrorig_solver.storage.folder import Folder
 from gyrorig_solver.storage.input_limits import (
     cgroup_memory_bytes,
+    fit_memory_bound_bytes,
+    limit_fit_memory,
     limit_input,
     limit_memory_by_size,
-    memory_bound_bytes,
     size_of_inputs,
 )
 from gyrorig_solver.storage.location import StorageOption, storage_at
@@ -25,9 +26,10 @@ __all__ = [
     "StorageOption",
     "cgroup_memory_bytes",
     "config_folders",
+    "fit_memory_bound_bytes",
+    "limit_fit_memory",
     "limit_input",
     "limit_memory_by_size",
-    "memory_bound_bytes",
     "size_of_inputs",
     "storage_at",
     "write_file",

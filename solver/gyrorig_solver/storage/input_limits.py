@@ -4,8 +4,11 @@ A file of some megabytes can unpack to gigabytes, or describe arrays of terabyte
 what they recognise. These limits hold for everything else: the command ends with the reason, and
 the computer and other jobs do not suffer.
 
-What to use when: `limit_input` around reading and examining files, `limit_memory_by_size` around a
-solve, whose time does not follow from the size of the file.
+The memory of a fit follows from the number of messages and not from the size of the file: its
+derivatives are uncompressed, and the search for causes holds several fits at a time.
+
+What to use when: `limit_input` around reading and examining files, `limit_fit_memory` around the
+fit of what was read, whose time does not follow from the size of the file.
 """
 
 import contextlib
@@ -21,6 +24,10 @@ from gyrorig_protocol.errors import InputError
 MB = 1_000_000
 BASE_MEMORY_BYTES = 400 * MB
 MEMORY_PER_INPUT_BYTE = 20
+# Of a fit, in addition. A search that ends with eight causes takes 17 kB for each message of a
+# recording of 130 s at 100 Hz; a fit without causes takes 6 to 10 kB.
+FIT_MEMORY_PER_MESSAGE_BYTES = 30_000
+MAX_FIT_MEMORY_BYTES = 8000 * MB  # long recordings are fitted in parts
 BASE_TIME_S = 30.0  # of the processor
 TIME_PER_BYTE_S = 30.0 / (10 * MB)
 MEMORY_VARIABLE = "GYRORIG_MEMORY_MB"  # a larger limit, for a file that a person trusts
@@ -36,6 +43,14 @@ def memory_bound_bytes(input_bytes: int) -> int:
     if stated.isascii() and stated.isdigit():
         return int(stated) * MB
     return BASE_MEMORY_BYTES + MEMORY_PER_INPUT_BYTE * input_bytes
+
+
+def fit_memory_bound_bytes(input_bytes: int, message_count: int) -> int:
+    """Return the largest memory of a fit to inputs of this size with so many messages."""
+    bound_bytes = memory_bound_bytes(input_bytes)
+    if MEMORY_VARIABLE in os.environ:
+        return bound_bytes
+    return bound_bytes + min(FIT_MEMORY_PER_MESSAGE_BYTES * message_count, MAX_FIT_MEMORY_BYTES)
 
 
 def time_bound_s(input_bytes: int) -> float:
@@ -100,20 +115,38 @@ def limit_memory_by_size(name: str, input_bytes: int) -> Iterator[None]:
     Raises:
         InputError: the block needs more.
     """
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
     bound_bytes = memory_bound_bytes(input_bytes)
-    try:
-        with _data_limit(bound_bytes):
-            yield
-    except MemoryError as fault:
-        raise InputError(
-            f"the file {name} needs more than {bound_bytes // MB} MB of memory, the limit for a "
-            "file of its size, so it is probably damaged or hostile",
-            f"record or export the data again; if you trust the file, set {MEMORY_VARIABLE} to a "
-            "larger number of megabytes",
-        ) from fault
+    refusal = InputError(
+        f"the file {name} needs more than {bound_bytes // MB} MB of memory, the limit for a "
+        "file of its size, so it is probably damaged or hostile",
+        f"record or export the data again; if you trust the file, set {MEMORY_VARIABLE} to a "
+        "larger number of megabytes",
+    )
+    with _data_limit(bound_bytes, refusal):
+        yield
+
+
+@contextlib.contextmanager
+def limit_fit_memory(name: str, input_bytes: int, message_count: int) -> Iterator[None]:
+    """Limit the memory of this process while the block fits a model, in the main thread.
+
+    Args:
+        name: of the input, for the message.
+        input_bytes: its size.
+        message_count: in all its topics.
+
+    Raises:
+        InputError: the block needs more.
+    """
+    bound_bytes = fit_memory_bound_bytes(input_bytes, message_count)
+    refusal = InputError(
+        f"the fit to {name} needs more than {bound_bytes // MB} MB of memory, the limit for "
+        f"{message_count} messages",
+        "examine the recording with `gyrorig check`; if you trust the recording, set "
+        f"{MEMORY_VARIABLE} to a larger number of megabytes",
+    )
+    with _data_limit(bound_bytes, refusal):
+        yield
 
 
 def cgroup_memory_bytes() -> int | None:
@@ -132,12 +165,19 @@ def cgroup_memory_bytes() -> int | None:
 
 
 @contextlib.contextmanager
-def _data_limit(bound_bytes: int) -> Iterator[None]:
-    """Limit what this process can allocate, so that it stays below a bound.
+def _data_limit(bound_bytes: int, refusal: InputError) -> Iterator[None]:
+    """Limit what this process can allocate, so that it stays below a bound, in the main thread.
 
     RLIMIT_DATA counts private memory that can be written: neither a mapped file nor the code of
-    libraries.
+    libraries. The memory that the process has at the start, such as the stacks of threads, does
+    not count.
+
+    Raises:
+        InputError: the refusal, if the block needs more.
     """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
     data_bytes, resident_bytes = _memory_in_use()
     program_bytes = min(resident_bytes, _MAX_PROGRAM_BYTES)
     limit_bytes = data_bytes + bound_bytes - program_bytes - _LATER_LIBRARIES_BYTES
@@ -148,6 +188,8 @@ def _data_limit(bound_bytes: int) -> Iterator[None]:
     resource.setrlimit(resource.RLIMIT_DATA, (limit_bytes, previous[1]))
     try:
         yield
+    except MemoryError as fault:
+        raise refusal from fault
     finally:
         resource.setrlimit(resource.RLIMIT_DATA, previous)
 

@@ -2,7 +2,7 @@
 
 import struct
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path, PurePosixPath
 from typing import Any
@@ -20,6 +20,7 @@ from tests.support.hostile_files import (
 )
 from tests.unit.fleet.test_batch import make_job
 
+from gyrorig_daemon import cli as daemon_cli
 from gyrorig_protocol.errors import InputError
 from gyrorig_protocol.identity import BoardId
 from gyrorig_protocol.recording import topic_collector
@@ -27,6 +28,7 @@ from gyrorig_protocol.recording.encoding.cdr_layout import derive_fixed_layout
 from gyrorig_protocol.recording.mcap import record_scan
 from gyrorig_protocol.recording.mcap.mcap_summary import read_summary
 from gyrorig_protocol.recording.reader import read_recording
+from gyrorig_protocol.recording.recording import Recording
 from gyrorig_solver import cli
 from gyrorig_solver.data.samples import load_samples
 from gyrorig_solver.estimate.series import build_series
@@ -35,9 +37,18 @@ from gyrorig_solver.fleet.jobs.session_job import Job, SolveSettings, run_job
 from gyrorig_solver.fleet.jobs.spool_scanner import SpooledRecording
 from gyrorig_solver.fleet.jobs.workers import WorkerPool
 from gyrorig_solver.fleet.store import IndexRow
-from gyrorig_solver.storage import Folder, input_limits, limit_input, limit_memory_by_size
+from gyrorig_solver.storage import (
+    Folder,
+    fit_memory_bound_bytes,
+    input_limits,
+    limit_fit_memory,
+    limit_input,
+    limit_memory_by_size,
+)
 
 SIZE = 30_000
+CONFIG = Path(__file__).resolve().parents[3] / "config"
+MARGIN = 1.5  # of the limit to the memory that an honest recording needs
 DONE_OR_REFUSED = (0, 3, 4)
 
 
@@ -152,6 +163,33 @@ def test_a_file_that_needs_too_much_memory_is_refused() -> None:
     bytearray(500_000_000)  # the limit ends with the block
 
 
+def test_a_fit_that_needs_too_much_memory_is_refused() -> None:
+    refusal = pytest.raises(InputError, match="needs more than 432 MB of memory")
+    with refusal, limit_fit_memory("x", 10**5, 1000):
+        _use_memory()
+
+
+def test_a_fit_may_use_more_memory_than_the_reading_of_its_file() -> None:
+    with limit_fit_memory("x", 10**6, 20_000), limit_input("x", 1):
+        pass
+    with limit_fit_memory("x", 10**6, 20_000):
+        assert bytearray(700_000_000)
+
+
+@pytest.mark.parametrize("program", ["quick", "survey-130"])
+def test_an_honest_recording_is_solved_far_within_the_limit(
+    program: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    words = ["--config", str(CONFIG / "rig.yaml"), "--out", str(tmp_path), "--simulated-time"]
+    program_path = str(CONFIG / "programs" / f"{program}.yaml")
+    assert daemon_cli.run(["record", *words, "--program", program_path]) == 0
+    (file,) = tmp_path.glob("*.mcap")
+    count = read_recording(file).message_count
+    allowed_bytes = fit_memory_bound_bytes(file.stat().st_size, count)
+    monkeypatch.setenv("GYRORIG_MEMORY_MB", str(int(allowed_bytes / MARGIN / 1e6)))
+    assert cli.run(["solve", str(file), "--out", str(tmp_path / "out")]) == 0
+
+
 def test_a_person_can_allow_more(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("GYRORIG_MEMORY_MB", "900")
     with limit_input("x", 1):
@@ -168,10 +206,11 @@ def test_a_file_that_needs_too_much_time_is_refused(monkeypatch: pytest.MonkeyPa
 def test_a_job_that_exceeds_the_memory_of_its_file_is_rejected(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def greedy(_job: Job) -> Iterator[IndexRow]:
+    def greedy(_job: Job, _recordings: Sequence[Recording]) -> Iterator[IndexRow]:
         raise MemoryError
 
-    monkeypatch.setattr(session_job, "_solve_boards", greedy)
+    monkeypatch.setattr(session_job, "_read_recordings", lambda _job: [])
+    monkeypatch.setattr(session_job, "_solve_recordings", greedy)
     job = make_job("k", tmp_path)
     settings = SolveSettings(solver_version="0.1.0")
     names = (PurePosixPath("x.mcap"),)

@@ -245,8 +245,9 @@ class AttitudeFitSpace(FitSpace):
     ) -> Self:
         """Return the fit with these causes."""
         effects = CauseEffects(self.base, fitted_terms, max_evaluations)
-        self.effort.add(effects.convergence)
-        return type(self)(self.at, effects, self.effort)
+        space = type(self)(self.at, effects, self.effort)
+        self.effort.add(space)
+        return space
 
     def relinearised(self) -> Self:
         """Return the fit about the point where gain, biases, lags and causes agree.

@@ -38,10 +38,6 @@ class PartModel:
     relative_std: RelativeStd | None = None  # of the noise; None: the same everywhere
     _cache: dict[str, FloatArray] = field(default_factory=dict)
 
-    def release_spectra(self) -> None:
-        """Free the cached spectra."""
-        self._cache.clear()
-
     def derivative_spectra(self) -> FloatArray:
         """Return the DCT of the global derivatives, (7 + 3 g' + 3 k, n); cached."""
         if "everywhere" not in self._cache:

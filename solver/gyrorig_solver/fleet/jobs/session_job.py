@@ -47,9 +47,9 @@ from gyrorig_solver.pipeline import (
 from gyrorig_solver.pipeline.solve_board import likelihood_settings
 from gyrorig_solver.storage import (
     Storage,
+    fit_memory_bound_bytes,
+    limit_fit_memory,
     limit_input,
-    limit_memory_by_size,
-    memory_bound_bytes,
     size_of_inputs,
 )
 
@@ -111,7 +111,7 @@ def run_job(job: Job) -> JobResult:
     """
     started_s = time.process_time()
     try:
-        with deadline(job.settings.deadline_s), _memory_limit_of(job):
+        with deadline(job.settings.deadline_s):
             rows = tuple(_solve_boards(job))
     except MachineError:
         raise
@@ -138,11 +138,13 @@ def run_job(job: Job) -> JobResult:
     )
 
 
-def _memory_limit_of(job: Job) -> AbstractContextManager[None]:
-    """Return the limit by the size of the recordings, if it is below that of the settings."""
-    if not job.input_bytes or memory_bound_bytes(job.input_bytes) >= job.settings.memory_bytes:
+def _fit_memory_limit(job: Job, recordings: Sequence[Recording]) -> AbstractContextManager[None]:
+    """Return the limit by the number of messages, if it is below that of the settings."""
+    message_count = sum(recording.message_count for recording in recordings)
+    bound_bytes = fit_memory_bound_bytes(job.input_bytes, message_count)
+    if not job.input_bytes or bound_bytes >= job.settings.memory_bytes:
         return nullcontext()
-    return limit_memory_by_size(job.paths[0].name, job.input_bytes)
+    return limit_fit_memory(job.paths[0].name, job.input_bytes, message_count)
 
 
 def run_job_memory_limited(job: Job) -> JobResult:
@@ -186,6 +188,12 @@ def failure_row(
 def _solve_boards(job: Job) -> Iterator[IndexRow]:
     if job.rejection:
         raise InputError(job.rejection, job.remedy)
+    recordings = _read_recordings(job)
+    with _fit_memory_limit(job, recordings):
+        yield from _solve_recordings(job, recordings)
+
+
+def _read_recordings(job: Job) -> list[Recording]:
     recordings = []
     for path in job.paths:
         # A recording is memory-mapped: its file can be removed after it is read.
@@ -200,6 +208,10 @@ def _solve_boards(job: Job) -> Iterator[IndexRow]:
                 f"the recording {recording.path.name} was changed while the batch was running",
                 "do not change recordings in the spool. The next batch solves the new content",
             )
+    return recordings
+
+
+def _solve_recordings(job: Job, recordings: Sequence[Recording]) -> Iterator[IndexRow]:
     boards = sorted({board for recording in recordings for board in recording.board_ids})
     if not boards:
         raise InputError(
