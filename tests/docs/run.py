@@ -66,10 +66,19 @@ class Reader:
         try:
             with self._servers:
                 for block in blocks(page):
-                    self._take(block, tally)
+                    self._take_or_fail(block, tally)
         except DocumentError as fault:
             tally.failure = str(fault)
+        except OSError as fault:  # of the page itself, or when what it serves ends
+            tally.failure = f"{page.name}: {fault}"
         return tally
+
+    def _take_or_fail(self, block: Block, tally: Tally) -> None:
+        """Take a block; a file or a program that is missing is a failure of the page."""
+        try:
+            self._take(block, tally)
+        except OSError as fault:
+            raise DocumentError(f"{block.where}: {fault}") from fault
 
     def _take(self, block: Block, tally: Tally) -> None:
         if block.how == "look":

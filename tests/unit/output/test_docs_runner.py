@@ -94,6 +94,15 @@ def test_no_block_is_passed_over_without_a_reason(tmp_path: Path, how: str) -> N
         list(blocks(page))
 
 
+def test_a_file_that_cannot_be_saved_is_a_failure_of_its_page(tmp_path: Path) -> None:
+    tally = followed(
+        tmp_path, "```sh\ntouch file\n```\n<!-- test: save file/a.yaml -->\n```yaml\nx: 1\n```\n"
+    )
+    assert tally.failure.startswith("page.md:6: ")
+    assert "file" in tally.failure
+    assert tally.ran == 1
+
+
 def test_what_fails_is_named_by_page_and_line(tmp_path: Path) -> None:
     tally = followed(tmp_path, "# x\n```sh\necho gone >&2; false\n```\n```sh\ntrue\n```\n")
     assert tally.failure == "page.md:3: left with 1: ['gone']"
