@@ -8,10 +8,11 @@ import contextlib
 import ctypes
 import time
 from dataclasses import dataclass
+from functools import cache
 
 ANCHOR_READINGS = 5
 _ADJTIMEX_FREQUENCY_UNIT = 65536.0  # <linux/timex.h>: ppm scaled by 2^16
-_TIMEX_WORDS = 64  # more than the structure's 208 bytes
+_TIMEX = ctypes.c_long * 64  # more than the structure's 208 bytes
 
 
 @dataclass(slots=True)
@@ -72,10 +73,18 @@ def read_host_clocks() -> HostClocks:
 def _adjtimex() -> tuple[float, float, int]:
     """Return frequency in ppm, estimated error in s and status; nan without the system call."""
     with contextlib.suppress(OSError, AttributeError, TypeError):
-        libc = ctypes.CDLL(None, use_errno=True)
         # struct timex, 64-bit: modes, offset, freq, maxerror, esterror, status (longs, with
         # the ints padded); modes 0 only reads
-        words = (ctypes.c_long * _TIMEX_WORDS)()
-        if libc.adjtimex(ctypes.byref(words)) >= 0 and ctypes.sizeof(ctypes.c_long) == 8:
+        words = _TIMEX()
+        if _libc().adjtimex(ctypes.byref(words)) >= 0 and ctypes.sizeof(ctypes.c_long) == 8:
             return words[2] / _ADJTIMEX_FREQUENCY_UNIT, words[4] * 1e-6, words[5] & 0xFFFF_FFFF
     return float("nan"), float("nan"), 0
+
+
+@cache
+def _libc() -> ctypes.CDLL:
+    """Return the C library, opened once.
+
+    Every `CDLL` makes two classes in a reference cycle, and the daemon collects cycles rarely.
+    """
+    return ctypes.CDLL(None, use_errno=True)
