@@ -73,7 +73,7 @@ def apply_retention(
     stores: Sequence[Path],
     keep: Collection[Path] = (),
     *,
-    clock_is_sound: bool = True,
+    now_s: float | None = None,
     disk: Disk = DISK,
 ) -> RetentionResult:
     """Delete what the rules allow, oldest first.
@@ -84,8 +84,7 @@ def apply_retention(
         stores: folders of calibrations, whose citations protect recordings; each one must
             exist. Empty: there are no calibrations.
         keep: recordings of the running session.
-        clock_is_sound: whether the system clock was right when the recordings were made;
-            otherwise the rule of age is not used.
+        now_s: present system time; None if it is not valid: then the rule of age is not used.
         disk: where all this happens.
 
     Raises:
@@ -93,7 +92,7 @@ def apply_retention(
     """
     names = {path.name for path in keep}
     files = [file for file in _files(folder) if file.path.name not in names]
-    need = _RetentionNeed(rules, files, clock_is_sound, lambda: disk.free_bytes(folder))
+    need = _RetentionNeed(rules, files, now_s, lambda: disk.free_bytes(folder))
     if not files or not need.asks_for(files[0]):
         return RetentionResult((), 0, (), sum(file.size for file in files))
     citations = _CitationIndex(stores)
@@ -124,17 +123,19 @@ class _RetentionNeed:
         self,
         rules: RetentionRules,
         files: Sequence[_File],
-        clock_is_sound: bool,
+        now_s: float | None,
         free_bytes: Callable[[], int],
     ) -> None:
         self._rules = rules
         self._free_bytes = free_bytes
         self._total = sum(file.size for file in files)
         # Age relative to the newest recording, not to now: a clock that jumps ahead, or a rig
-        # that was unused for a year, must not delete recordings.
-        newest_s = max((file.time_s for file in files), default=0.0)
-        days = rules.max_days if clock_is_sound else None
-        self._oldest_s = None if days is None else newest_s - days * _DAY_S
+        # that was unused for a year, must not delete recordings. Nor must one recording that
+        # was made while the clock was years ahead.
+        self._oldest_s: float | None = None
+        if rules.max_days is not None and now_s is not None:
+            newest_s = min(max((file.time_s for file in files), default=0.0), now_s)
+            self._oldest_s = newest_s - rules.max_days * _DAY_S
 
     def asks_for(self, oldest: _File) -> bool:
         """Whether a rule asks for the oldest file to be deleted."""

@@ -47,7 +47,7 @@ class Housekeeping:
         self,
         state: StateFolder,
         settings: Callable[[], ServiceSettings],
-        clock_is_valid: Callable[[], bool],
+        valid_utc_s: Callable[[], float | None],
         log: Callable[[str], None],
     ) -> None:
         """Prepare; `start` starts the thread.
@@ -55,12 +55,12 @@ class Housekeeping:
         Args:
             state: the folder with the recordings.
             settings: returns the settings of the configuration in force.
-            clock_is_valid: returns whether the system time, and therefore ages, are valid.
+            valid_utc_s: returns the system time, None while it is not valid.
             log: writes a line to the log.
         """
         self._state = state
         self._settings = settings
-        self._clock_is_valid = clock_is_valid
+        self._valid_utc_s = valid_utc_s
         self._log = log
         self._lock = threading.Lock()
         self._stopping = threading.Event()
@@ -159,7 +159,7 @@ class Housekeeping:
                     rules,
                     self._calibration_stores(settings),
                     protected,
-                    clock_is_sound=self._clock_is_valid(),
+                    now_s=self._valid_utc_s(),
                 )
             except (GyrorigError, OSError) as error:
                 self.counts.retention_failures += 1

@@ -136,7 +136,7 @@ class ServiceProcess:
             housekeeping = Housekeeping(
                 state_folder,
                 lambda: self._config.config.service,
-                self._clock_is_valid,
+                _valid_utc_s,
                 self._log.write_line,
             )
             stack.callback(housekeeping.close)
@@ -290,9 +290,6 @@ class ServiceProcess:
             self._hub.ping()
         return stalled
 
-    def _clock_is_valid(self) -> bool:
-        return not read_host_clocks().ntp_status & NTP_UNSYNCHRONISED
-
     def _reload_config(self) -> str:
         try:
             self._next_config = load_config(self._options.config_path)
@@ -326,3 +323,8 @@ class ServiceProcess:
 
     def _count_lost_line(self) -> None:
         self._counts.log_lines_lost += 1
+
+
+def _valid_utc_s() -> float | None:
+    """Return the system time, None while the kernel does not know whether it is right."""
+    return None if read_host_clocks().ntp_status & NTP_UNSYNCHRONISED else time.time()

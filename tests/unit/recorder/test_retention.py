@@ -63,7 +63,7 @@ def test_nothing_is_deleted_without_a_rule(spool: Path) -> None:
     ],
 )
 def test_the_oldest_are_deleted_first(spool: Path, rules: RetentionRules, gone: int) -> None:
-    deletions = apply_retention(spool, rules, [])
+    deletions = apply_retention(spool, rules, [], now_s=NOW + 5 * DAY)
     assert [path.name for path in deletions.deleted] == [f"r{k}.mcap" for k in range(gone)]
     assert deletions.deleted_bytes == 100 * gone
     assert deletions.remaining_bytes == 500 - 100 * gone
@@ -122,14 +122,21 @@ def test_the_running_session_and_open_files_are_kept(spool: Path) -> None:
     open_file.close()
 
 
+def test_one_recording_of_the_future_deletes_no_other(spool: Path) -> None:
+    """It was made while the clock was years ahead; the clock is right again."""
+    os.utime(spool / "r4.mcap", (NOW * 2, NOW * 2))
+    rules = RetentionRules(max_days=3.5)
+    assert apply_retention(spool, rules, [], now_s=NOW + 3 * DAY).deleted == ()
+    deletions = apply_retention(spool, rules, [], now_s=NOW + 4 * DAY)
+    assert [path.name for path in deletions.deleted] == ["r0.mcap"]
+
+
 def test_a_clock_jump_deletes_nothing(spool: Path) -> None:
     for k in range(5):  # all recorded in 1970, by a Pi without a clock
         os.utime(spool / f"r{k}.mcap", (k * DAY, k * DAY))
-    assert apply_retention(spool, RetentionRules(max_days=100), []).deleted == ()
+    assert apply_retention(spool, RetentionRules(max_days=100), [], now_s=NOW).deleted == ()
     os.utime(spool / "r4.mcap", (NOW * 2, NOW * 2))  # and one in a far future
-    assert (
-        apply_retention(spool, RetentionRules(max_days=1), [], clock_is_sound=False).deleted == ()
-    )
+    assert apply_retention(spool, RetentionRules(max_days=1), [], now_s=None).deleted == ()
     assert len(left(spool)) == 5
 
 

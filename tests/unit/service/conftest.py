@@ -107,7 +107,7 @@ class Bench:
             dropped_bytes=lambda: 0,
             log=self.log.append,
             housekeeping=Housekeeping(
-                self.state, lambda: config.service, lambda: True, self.log.append
+                self.state, lambda: config.service, self.utc_s, self.log.append
             ),
             threaded_writer=False,
         )

@@ -20,7 +20,7 @@ def keeper_of(
         state, log_lines = StateFolder(tmp_path), list[str]()
         state.recordings.mkdir()
         return (
-            Housekeeping(state, lambda: settings, lambda: True, log_lines.append),
+            Housekeeping(state, lambda: settings, time.time, log_lines.append),
             state,
             log_lines,
         )
@@ -90,7 +90,7 @@ def test_room_is_made_only_where_that_was_allowed(
     keeper.start()
     keeper.close()
     full = ServiceSettings(delete_when_full=True)
-    other = Housekeeping(state, lambda: full, lambda: True, lambda _: None)
+    other = Housekeeping(state, lambda: full, time.time, lambda _: None)
     assert "GB are needed" in other.storage_problem()
     assert other._wake.is_set()
 
