@@ -182,6 +182,15 @@ def test_an_address_open_to_others_is_refused(address: str, words: str) -> None:
         pass
 
 
+def test_a_scheduler_that_local_users_can_reach_is_pointed_out(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """It runs what any user of this computer sends, as its owner."""
+    command = ["-v", "batch", "--spool", str(tmp_path), "--store", str(tmp_path / "s")]
+    assert run([*command, "--scheduler", "tcp://127.0.0.1:1"]) == 75
+    assert "Every user of this computer can run programs" in capsys.readouterr().err
+
+
 def test_contradicting_options_are_refused(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -31,6 +31,12 @@ _EXISTING_FILE = click.Path(path_type=Path, dir_okay=False, exists=True)
 _RETRY_STATUSES = ("rejected", "failed", "quarantined")
 
 
+_UNPROTECTED_SCHEDULER = (
+    "Every user of this computer can run programs as the owner of a scheduler without TLS. On a "
+    "computer with several users, use an address that begins with tls://."
+)
+
+
 @click.command("batch")
 @click.option(
     "--spool",
@@ -161,6 +167,8 @@ def batch_command(
         if scheduler is None:
             pools = local_pools(workers or os.cpu_count() or 1, settings.memory_bytes)
         else:
+            if not scheduler.startswith("tls://"):
+                terminal.print_progress(_UNPROTECTED_SCHEDULER)
             pools = stack.enter_context(_dask_pools(scheduler, workers, tls_ca, tls_cert, tls_key))
             # The workers run in other working directories.
             spool, store = _absolute_storage(spool), _absolute_storage(store)
