@@ -334,6 +334,15 @@ def test_a_name_in_the_address_opens_its_board(opened: Any, address: str) -> Non
     until(lambda: texts(opened, "#board h3") == ["B000033"])
 
 
+def test_a_broken_address_opens_no_board_and_raises_no_error(opened: Any, address: str) -> None:
+    opened.get_log("browser")  # empties it
+    opened.get(address + "#%E0%A4%A")
+    opened.refresh()
+    until(lambda: opened.execute_script("return document.body.dataset.ready") == "yes")
+    assert not find(opened, "#board")[0].is_displayed()
+    assert [entry for entry in opened.get_log("browser") if entry["level"] == "SEVERE"] == []
+
+
 def test_a_phone_need_not_scroll_sideways(opened: Any) -> None:
     size = {"width": PHONE_PX, "height": 800, "deviceScaleFactor": 1, "mobile": True}
     opened.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
