@@ -200,7 +200,7 @@ class JobQueue:
 
     def waiting_jobs(self) -> list[str]:
         """Return the names of the waiting jobs, the next one first; at most `MAX_SCANNED`."""
-        return [Path(name).stem for name in self._waiting_names()]
+        return [name.removesuffix(".yaml") for name in self._waiting_names()]
 
     def take_next(self) -> SessionJob | None:
         """Take the next job, which is running from now on; None if no job waits.

@@ -8,6 +8,7 @@ the process ends for any reason.
 """
 
 import fcntl
+import math
 import os
 import time
 from collections.abc import Iterator
@@ -125,10 +126,16 @@ def list_abandoned_files(folder: Path, pattern: str) -> list[Path]:
     """
     descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
     try:
-        _take_lock(
-            descriptor, fcntl.LOCK_EX
-        )  # no process is between creating a file and locking it
-        return sorted(path for path in folder.glob(pattern) if not is_being_written(path))
+        # With the lock, no process is between creating a file and locking it. Without it, a file
+        # that is old enough has its own lock.
+        newest_s = math.inf
+        if not _take_lock_soon(descriptor, fcntl.LOCK_EX):
+            newest_s = time.time() - FOLDER_LOCK_S
+        return sorted(
+            path
+            for path in folder.glob(pattern)
+            if not is_being_written(path) and path.stat().st_mtime < newest_s
+        )
     finally:
         os.close(descriptor)
 
@@ -147,14 +154,17 @@ def hold_lock(path: Path) -> Iterator[bool]:
         os.close(descriptor)
 
 
-def _take_lock_soon(descriptor: int, kind: int) -> None:
-    """Lock a folder, or go on without the lock after a while.
+def _take_lock_soon(descriptor: int, kind: int) -> bool:
+    """Lock a folder, or return False after a while.
 
     Our programs hold it for milliseconds. Everybody who can read the folder could hold it for ever.
     """
     end_s = time.monotonic() + FOLDER_LOCK_S
-    while not _take_lock(descriptor, kind | fcntl.LOCK_NB) and time.monotonic() < end_s:
+    while not (is_locked := _take_lock(descriptor, kind | fcntl.LOCK_NB)):
+        if time.monotonic() >= end_s:
+            break
         time.sleep(0.01)
+    return is_locked
 
 
 def _take_lock(descriptor: int, kind: int) -> bool:
