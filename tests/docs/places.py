@@ -62,6 +62,7 @@ class Places:
             "PATH": f"{programs}:{_path_without(programs)}",
             "OPENBLAS_NUM_THREADS": "1",
             "GYRORIG_DATA": str(data),
+            "CLONE": str(ROOT),
         }
 
     def __enter__(self) -> "Places":
