@@ -71,6 +71,14 @@ class LawScale:
         squares = np.maximum(self.origin**2 + 2.0 * self.probed * first_order, 0.0)
         return np.where(self.is_square, np.sqrt(squares) - self.origin, first_order)
 
+    @property
+    def probed_effect(self) -> FloatArray:
+        """The effect of the probed law, relative to that of the fit, as changes to first order."""
+        added = (self.probed**2 - self.origin**2) / (
+            2.0 * np.where(self.is_square, self.probed, 1.0)
+        )
+        return np.where(self.is_square, added, 0.0)
+
     def effect_shares(self, values: FloatArray) -> FloatArray:
         """Return the effect of values of the fit, in units of their derivative times the value.
 
@@ -138,8 +146,13 @@ class LawEffects:
         return np.asarray(np.sum([p.information for p in self.profiles], axis=0), np.float64)
 
     def reply_score(self) -> FloatArray:
-        """Return the score of the values by all replies, (6,)."""
-        return np.asarray(np.sum([profile.score for profile in self.profiles], axis=0), np.float64)
+        """Return the score of the values by all replies, (6,), at the law of the fit.
+
+        The profiles are of the probed law, so that their residuals contain the effect of the
+        difference between the two laws.
+        """
+        score = np.sum([profile.score for profile in self.profiles], axis=0)
+        return np.asarray(score + self.reply_information() @ self.scale.probed_effect, np.float64)
 
 
 def unit_references(solution: ConvergedFit) -> list[PanTiltReference]:

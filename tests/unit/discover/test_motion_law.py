@@ -15,7 +15,14 @@ from gyrorig_protocol.identity import BoardId
 from gyrorig_solver.discover import explain_fit
 from gyrorig_solver.discover.extended_fit import extend_fit
 from gyrorig_solver.discover.motion_space import MotionFitSpace
-from gyrorig_solver.estimate import ConvergedFit, fit_boards_jointly, free_term, refit_with_terms
+from gyrorig_solver.discover.score_tests import ScoreTest
+from gyrorig_solver.estimate import (
+    ConvergedFit,
+    NuisanceProjector,
+    fit_boards_jointly,
+    free_term,
+    refit_with_terms,
+)
 from gyrorig_solver.estimate.board_fit import BoardFit
 from gyrorig_solver.estimate.executed_motion import law_columns
 from gyrorig_solver.estimate.fit_segments import negative_log_likelihood
@@ -23,12 +30,14 @@ from gyrorig_solver.estimate.information import RecordingEquations
 from gyrorig_solver.estimate.likelihood_fit import LikelihoodFit
 from gyrorig_solver.estimate.trust_region import ProposedStep
 from gyrorig_solver.model import find_term
+from gyrorig_solver.numerics import chi2_upper_tail
 from gyrorig_solver.pipeline.prepare_board import fit_base_model
 
 SEEDS = quick_cases((1, 2, 3), [1])
 FAR = 3.0  # standard deviations
 BASE_SPEED_RAD_S = math.radians(3.5)
 MAX_GAIN_NATS = 6.0  # of a cause that is not there
+CHANCE = 1e-4  # of a rig in which nothing is hidden
 LAW_CAUSES = ("base_speed_jump", "acceleration_error", "s_curve")
 
 
@@ -222,3 +231,13 @@ def test_two_recordings_have_one_law(hidden: Callable[..., Any]) -> None:
         information * fit.estimate[-2:] for information, fit in zip(each, alone, strict=True)
     ) / sum(each)
     assert np.all(np.abs(solution.estimate[-2:] - mean) < 0.5 * both**-0.5)
+
+
+def test_the_replies_at_the_slow_ends_of_moves_are_unbiased(hidden: Callable[..., Any]) -> None:
+    """Near its rest, the count of a slow axis is always rounded at the same point of a step."""
+    session = hidden(seed=11, program="survey-130")
+    projector = NuisanceProjector.at_fit(base_fit(session))
+    law = projector.law_statistics(find_term("base_speed_jump"))
+    assert law is not None
+    test = ScoreTest.of(law.replies)
+    assert chi2_upper_tail(test.statistic, test.degrees_of_freedom) > CHANCE

@@ -21,7 +21,9 @@ from gyrorig_solver.reference.unit.profile_derivatives import differentiate_move
 from gyrorig_solver.reference.unit.rounded_trajectory import build_executed_trajectories
 
 STEP_VARIANCE = 1.0 / 12.0
-MIN_REST_DISTANCE_STEPS = 1.5  # closer counts are rounded in one direction and are not used
+# Closer counts are not used: near a rest, they are rounded in one direction. The distance is a
+# whole number of steps, because the mean rounding error is half a step over whole steps only.
+MIN_REST_DISTANCE_STEPS = 2.0
 COUNT_PARAMETERS = 3  # offset, lag and phi, the last shared unknowns
 POLLS_PER_PIECE = 1 << 16  # a limit on memory
 MIN_RESIDUALS = 10  # for an estimate of the scatter
