@@ -64,12 +64,7 @@ def extend_fit(space: Space, extension: FittedTerm) -> Space:
     if not extended.convergence.converged and len(sizes) < extension.free_indices.size:
         sizes_only = replace(extension, free_indices=np.array(sizes, dtype=np.int64))
         extended = space.refit([*others, sizes_only])
-    if not extended.convergence.converged:
-        return extended
-    # An outlier of the previous model can agree with this one.
-    if extended.outliers:
-        extended = _refit_if_converged(extended, extended.fitted_terms)
-    return extended.refit_gain()
+    return extended.refit_gain() if extended.convergence.converged else extended
 
 
 def refit_events(space: Space) -> Space:

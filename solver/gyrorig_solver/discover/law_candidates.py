@@ -71,7 +71,7 @@ def fit_law_cause(
     judged = judge_law_cause(extended, len(other_terms), space)
     if largest_evidence(judged, extended.outliers, replaced_nats) < needed_nats:
         return LawCandidate(extended, judged)
-    best = _retest_outliers(extended, space, len(other_terms), None, judged)
+    best = extended, judged
     for place, _ in testable_places(term):
         if place is None or largest_evidence(best[1], 0, replaced_nats) < needed_nats:
             continue
@@ -80,9 +80,8 @@ def fit_law_cause(
         values[indices] = fitted.values[indices]
         restricted = extended.refit([*other_terms, FittedTerm(term, values, indices)])
         if restricted.convergence.converged:
-            first = judge_law_cause(restricted, len(other_terms), space, place)
-            tested = _retest_outliers(restricted, space, len(other_terms), place, first)
-            best = max(best, tested, key=lambda pair: pair[1].log_evidence)
+            alone = judge_law_cause(restricted, len(other_terms), space, place)
+            best = max(best, (restricted, alone), key=lambda pair: pair[1].log_evidence)
     return LawCandidate(*best)
 
 
@@ -101,21 +100,6 @@ def largest_evidence(judged: FittedCandidate, outliers: int, replaced_nats: floa
     """
     gain_nats = judged.delta_log_likelihood + replaced_nats + OUTLIER_NATS * outliers
     return OPTIMUM_FACTOR * max(gain_nats, MIN_OPTIMUM_NATS) - replaced_nats
-
-
-def _retest_outliers(
-    extended: Space, space: Space, k: int, place: str | None, judged: FittedCandidate
-) -> tuple[Space, FittedCandidate]:
-    """Return a fit with a cause at one place, and what the cause gains over another fit.
-
-    An outlier of the other law can agree with this one.
-    """
-    if not extended.outliers:
-        return extended, judged
-    again = extended.refit(extended.fitted_terms)
-    if not again.convergence.converged:
-        return extended, judged
-    return again, judge_law_cause(again, k, space, place)
 
 
 def judge_law_cause(

@@ -73,8 +73,19 @@ def refit_with_terms(
         previous: is not changed.
         fitted_terms: all causes of the new fit, each with good start values.
         max_evaluations: limit on the evaluations of the objective.
+
+    Returns:
+        The fit. Samples that only the previous model rejected as outliers take part.
     """
-    return _fit_board(BoardFit.resumed(previous, fitted_terms), max_evaluations)
+    solution = _fit_board(BoardFit.resumed(previous, fitted_terms), max_evaluations)
+    if not solution.converged or not solution.outliers:
+        return solution
+    board = BoardFit.resumed(solution, solution.fitted_terms)
+    used = [used for session in board.sessions for used in session.used]
+    if all(map(np.array_equal, used, solution.used_blocks())):
+        return solution
+    again = _fit_board(board, max_evaluations)
+    return again if again.converged else solution
 
 
 def confirm_fit(solution: ConvergedFit) -> ConvergedFit:
