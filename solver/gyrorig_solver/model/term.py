@@ -139,6 +139,21 @@ def size_parameter(
     )
 
 
+def shape_parameter(
+    name: str,
+    unit: str,
+    components: tuple[str, ...] = (),
+    *,
+    typical: float,
+    lower: float,
+    upper: float,
+    prior_std: float,
+    start: float = 0.0,
+) -> TermParameter:
+    """Return a shape within its limits."""
+    return TermParameter(name, unit, typical, lower, upper, prior_std, components, "shape", start)
+
+
 EVENT_TIME = TermParameter(
     "time",
     "s",

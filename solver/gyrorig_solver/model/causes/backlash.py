@@ -18,7 +18,7 @@ import numpy as np
 from gyrorig_solver.data import FloatArray
 from gyrorig_solver.model.drive_effects import apply_play
 from gyrorig_solver.model.signal_state import SignalState
-from gyrorig_solver.model.term import EDGE_COVARIATES, TermParameter, size_parameter
+from gyrorig_solver.model.term import EDGE_COVARIATES, shape_parameter, size_parameter
 from gyrorig_solver.model.term_kinds import AngleTerm, scan_grid
 from gyrorig_solver.model.value_format import DEG, PAN_TILT, format_list
 
@@ -33,16 +33,7 @@ class Backlash(AngleTerm):
         size_parameter(
             "gap", "rad", PAN_TILT, typical=0.05, lower=0.0, limit=1.0, prior_std=0.3, factor=DEG
         ),
-        TermParameter(
-            name="begin",
-            unit="1",
-            typical_size=1.0,
-            lower=-1.0,
-            upper=1.0,
-            prior_std=1.0,
-            components=PAN_TILT,
-            role="shape",
-        ),
+        shape_parameter("begin", "1", PAN_TILT, typical=1.0, lower=-1.0, upper=1.0, prior_std=1.0),
     )
     confused_with = ("base_compliance", "lost_steps", "clock_offset", "dead_zone")
     remedy = (

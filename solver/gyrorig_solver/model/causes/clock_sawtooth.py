@@ -11,7 +11,13 @@ import numpy as np
 
 from gyrorig_solver.data import FloatArray
 from gyrorig_solver.model.signal_state import SignalState
-from gyrorig_solver.model.term import EVENT_TIME, BinnedDependence, TemplateSearch, TermParameter
+from gyrorig_solver.model.term import (
+    EVENT_TIME,
+    BinnedDependence,
+    TemplateSearch,
+    TermParameter,
+    shape_parameter,
+)
 from gyrorig_solver.model.term_kinds import TimeTerm
 
 MIN_PERIOD_S = 2.0
@@ -32,14 +38,13 @@ class ClockSawtooth(TimeTerm):
     first_order_equivalent = "clock_step"
     parameters = (
         TermParameter("rate", "1", typical_size=1e-4, lower=-0.1, upper=0.1, prior_std=0.02),
-        TermParameter(
+        shape_parameter(
             "period",
             "s",
-            typical_size=10.0,
+            typical=10.0,
             lower=MIN_PERIOD_S,
             upper=36000.0,
             prior_std=36000.0,
-            role="shape",
             start=60.0,
         ),
         EVENT_TIME,

@@ -10,7 +10,12 @@ import numpy as np
 
 from gyrorig_solver.data import FloatArray
 from gyrorig_solver.model.signal_state import SignalState
-from gyrorig_solver.model.term import BinnedDependence, TermParameter, size_parameter
+from gyrorig_solver.model.term import (
+    BinnedDependence,
+    TermParameter,
+    shape_parameter,
+    size_parameter,
+)
 from gyrorig_solver.model.term_kinds import LinearAngleTerm
 from gyrorig_solver.model.value_format import DEG
 
@@ -20,15 +25,7 @@ def _parameter(name: str) -> TermParameter:
 
 
 def _oval_parameter(name: str) -> TermParameter:
-    return TermParameter(
-        name=name,
-        unit="1",
-        typical_size=0.25,
-        lower=-1.0,
-        upper=1.0,
-        prior_std=0.5,
-        role="shape",
-    )
+    return shape_parameter(name, "1", typical=0.25, lower=-1.0, upper=1.0, prior_std=0.5)
 
 
 class Eccentricity(LinearAngleTerm):

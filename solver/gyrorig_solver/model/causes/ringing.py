@@ -10,7 +10,7 @@ import numpy as np
 from gyrorig_solver.data import FloatArray
 from gyrorig_solver.model.drive_effects import resonance_deflection
 from gyrorig_solver.model.signal_state import SignalState
-from gyrorig_solver.model.term import EDGE_COVARIATES, TermParameter, size_parameter
+from gyrorig_solver.model.term import EDGE_COVARIATES, shape_parameter, size_parameter
 from gyrorig_solver.model.term_kinds import LinearAngleTerm, scan_grid
 from gyrorig_solver.model.value_format import PAN_TILT, format_list
 
@@ -25,25 +25,11 @@ class Ringing(LinearAngleTerm):
     depends_on_upstream = True
     parameters = (
         size_parameter("share", "1", PAN_TILT, typical=0.05, lower=0.0, limit=2.0, prior_std=1.0),
-        TermParameter(
-            name="frequency",
-            unit="Hz",
-            typical_size=1.0,
-            lower=1.0,
-            upper=80.0,
-            prior_std=20.0,
-            role="shape",
-            start=10.0,
+        shape_parameter(
+            "frequency", "Hz", typical=1.0, lower=1.0, upper=80.0, prior_std=20.0, start=10.0
         ),
-        TermParameter(
-            name="damping",
-            unit="1",
-            typical_size=0.03,
-            lower=0.002,
-            upper=0.35,
-            prior_std=0.1,
-            role="shape",
-            start=0.05,
+        shape_parameter(
+            "damping", "1", typical=0.03, lower=0.002, upper=0.35, prior_std=0.1, start=0.05
         ),
     )
     confused_with = ("base_compliance", "s_curve", "supply_hum")

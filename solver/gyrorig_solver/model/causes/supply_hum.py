@@ -10,7 +10,7 @@ import numpy as np
 from gyrorig_solver.data import FloatArray
 from gyrorig_solver.model.signal_arrays import on_all_axes, split_axes
 from gyrorig_solver.model.signal_state import SignalState
-from gyrorig_solver.model.term import TermParameter, size_parameter
+from gyrorig_solver.model.term import shape_parameter, size_parameter
 from gyrorig_solver.model.term_kinds import LinearTerm, scan_grid
 from gyrorig_solver.model.value_format import DEG, XYZ, format_list
 
@@ -30,15 +30,8 @@ class SupplyHum(LinearTerm):
     parameters = (
         size_parameter("cosine", "rad/s", XYZ, typical=0.03, limit=5.0, prior_std=1.0, factor=DEG),
         size_parameter("sine", "rad/s", XYZ, typical=0.03, limit=5.0, prior_std=1.0, factor=DEG),
-        TermParameter(
-            name="frequency",
-            unit="Hz",
-            typical_size=0.01,
-            lower=0.05,
-            upper=2000.0,
-            prior_std=100.0,
-            role="shape",
-            start=50.0,
+        shape_parameter(
+            "frequency", "Hz", typical=0.01, lower=0.05, upper=2000.0, prior_std=100.0, start=50.0
         ),
     )
     confused_with = ("worm_error", "ringing")

@@ -14,7 +14,7 @@ from gyrorig_protocol.profile import SensorProfile
 from gyrorig_solver.data import FloatArray
 from gyrorig_solver.model.signal_arrays import on_all_axes, split_axes
 from gyrorig_solver.model.signal_state import SignalState
-from gyrorig_solver.model.term import BinnedDependence, TermParameter
+from gyrorig_solver.model.term import BinnedDependence, TermParameter, shape_parameter
 from gyrorig_solver.model.term_kinds import LinearTerm, scan_grid
 from gyrorig_solver.model.value_format import DEG, XYZ, format_list
 
@@ -65,14 +65,8 @@ class ThermalBias(LinearTerm):
                     components=XYZ,
                 )
             )
-        lag = TermParameter(
-            name="lag",
-            unit="s",
-            typical_size=20.0,
-            lower=-MAX_LAG_S,
-            upper=MAX_LAG_S,
-            prior_std=30.0,
-            role="shape",
+        lag = shape_parameter(
+            "lag", "s", typical=20.0, lower=-MAX_LAG_S, upper=MAX_LAG_S, prior_std=30.0
         )
         self.parameters = (*sizes, lag)
 

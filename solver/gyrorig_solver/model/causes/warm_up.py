@@ -10,7 +10,7 @@ import numpy as np
 from gyrorig_solver.data import FloatArray
 from gyrorig_solver.model.signal_arrays import on_all_axes, split_axes
 from gyrorig_solver.model.signal_state import SignalState
-from gyrorig_solver.model.term import BinnedDependence, TermParameter, size_parameter
+from gyrorig_solver.model.term import BinnedDependence, shape_parameter, size_parameter
 from gyrorig_solver.model.term_kinds import LinearTerm, scan_grid
 from gyrorig_solver.model.value_format import DEG, XYZ, format_list
 
@@ -25,15 +25,8 @@ class WarmUp(LinearTerm):
     scope = "recording"
     parameters = (
         size_parameter("begin", "rad/s", XYZ, typical=0.1, limit=5.0, prior_std=1.0, factor=DEG),
-        TermParameter(
-            name="time_constant",
-            unit="s",
-            typical_size=60.0,
-            lower=5.0,
-            upper=1200.0,
-            prior_std=300.0,
-            role="shape",
-            start=60.0,
+        shape_parameter(
+            "time_constant", "s", typical=60.0, lower=5.0, upper=1200.0, prior_std=300.0, start=60.0
         ),
     )
     confused_with = ("thermal_bias", "bias_ramp", "bias_step", "bias_random_walk")

@@ -14,6 +14,7 @@ from gyrorig_solver.model.term import (
     ANGLE_COVARIATES,
     BinnedDependence,
     TermParameter,
+    shape_parameter,
     size_parameter,
 )
 from gyrorig_solver.model.term_kinds import LinearAngleTerm, scan_grid
@@ -37,14 +38,13 @@ class WormError(LinearAngleTerm):
     parameters = (
         _parameter("cosine"),
         _parameter("sine"),
-        TermParameter(
-            name="period",
-            unit="rad",
-            typical_size=0.01 * MOTOR_TURN_RAD,
+        shape_parameter(
+            "period",
+            "rad",
+            typical=0.01 * MOTOR_TURN_RAD,
             lower=0.5 * DEG,
             upper=90.0 * DEG,
             prior_std=0.02 * MOTOR_TURN_RAD,
-            role="shape",
             start=MOTOR_TURN_RAD,
         ),
     )
