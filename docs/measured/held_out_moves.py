@@ -14,6 +14,7 @@ from docs.markdown import number, table
 from docs.measured.printed import IMU_TK
 from docs.measured.sessions import MeasuredSets
 from scipy.optimize import least_squares
+from tests.support.rotation_error import total_rotation
 
 from gyrorig_solver.data import FloatArray
 from gyrorig_solver.data.samples import GyroSamples
@@ -21,7 +22,6 @@ from gyrorig_solver.estimate import fit_gravity
 from gyrorig_solver.estimate.gravity_fit import MIN_TURN_RAD
 from gyrorig_solver.reference import TimeInterval, find_poses, turn_vectors
 from gyrorig_solver.reference.gravity_reference import StaticPoses
-from gyrorig_solver.reference.rotations import total_rotation
 
 GRAVITY_M_S2 = 9.81744  # of imu_tk's example; only the accelerometer's scale rests on it
 OFFSET_COUNTS = 32768  # of the Xsens' offset binary, as config/imports/imu-tk-xsens.yaml has it

@@ -26,12 +26,12 @@ sys.path.insert(0, str(ROOT))
 
 import numpy as np  # noqa: E402 - the lines above make threads few and find the packages
 from tests.hidden.truth.session import RigDraw, record  # noqa: E402
+from tests.support.board_fits import explain_recordings  # noqa: E402
 
 from gyrorig_daemon.emulator.emulator_settings import InjectionRequest  # noqa: E402
 from gyrorig_protocol.recording.reader import read_recording  # noqa: E402
 from gyrorig_solver.discover import FitExplanation  # noqa: E402
 from gyrorig_solver.model.catalogue import catalogue  # noqa: E402
-from gyrorig_solver.pipeline.explain_board import explain_recordings  # noqa: E402
 from gyrorig_solver.pipeline.next_experiment import next_experiment  # noqa: E402
 from gyrorig_solver.plan import program_text  # noqa: E402
 

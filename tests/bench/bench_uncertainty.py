@@ -21,6 +21,7 @@ from typing import Any
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
+from tests.support.board_fits import explain_recordings
 
 from gyrorig_protocol.recording.reader import read_recording
 from gyrorig_solver.check.true_values import _true_values
@@ -28,7 +29,6 @@ from gyrorig_solver.discover import CALIBRATION_PARAMETERS
 from gyrorig_solver.discover.calibration_changes import CalibrationValues
 from gyrorig_solver.estimate import ConvergedFit, NuisanceProjector
 from gyrorig_solver.pipeline.board_data import load_board
-from gyrorig_solver.pipeline.explain_board import explain_recordings
 from gyrorig_solver.pipeline.prepare_board import fit_base
 from gyrorig_solver.uncertainty import assess_uncertainty, default_settings
 

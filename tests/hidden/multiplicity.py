@@ -30,6 +30,7 @@ from scipy.stats import chi2
 from tests.hidden.scoring.answers import opened, sealed
 from tests.hidden.scoring.goals import FALSE_ALARMS
 from tests.hidden.scoring.once import Multiplicity
+from tests.support.board_fits import fit_base_model
 
 from gyrorig_protocol.recording.reader import read_recording
 from gyrorig_solver.data import FloatArray, IntArray
@@ -39,7 +40,6 @@ from gyrorig_solver.discover.template_choice import all_templates, quick_templat
 from gyrorig_solver.discover.testable_terms import count_tests, testable_terms
 from gyrorig_solver.estimate import NuisanceProjector
 from gyrorig_solver.model import SignalState, Term, value_indices
-from gyrorig_solver.pipeline.prepare_board import fit_base_model
 
 OUT = Path(__file__).resolve().parents[2] / "docs" / "discovery" / "multiplicity.json"
 BY_RESIDUAL = ("lost_steps", "supply_hum")

@@ -10,12 +10,12 @@ from unittest.mock import patch
 import numpy as np
 import pytest
 from tests.hidden.fast import Line, Sessions
+from tests.support.board_fits import explain_recordings
 
 from gyrorig_protocol.recording.reader import read_recording
 from gyrorig_solver.data.samples import GyroSamples, load_samples
 from gyrorig_solver.discover import CauseFindings, NamedCause
 from gyrorig_solver.pipeline import board_data
-from gyrorig_solver.pipeline.explain_board import explain_recordings
 
 pytestmark = pytest.mark.long
 

@@ -13,7 +13,6 @@ from scipy.spatial.transform import Rotation
 from gyrorig_protocol.errors import InputError
 from gyrorig_solver.data import BoolArray, FloatArray, IntArray
 from gyrorig_solver.reference import AttitudeReference
-from gyrorig_solver.reference.rotations import total_rotation
 
 # Integration step: short relative to hand motion, for gyro rates of 50 Hz or more.
 INTEGRATION_STEP_S = 0.005
@@ -36,6 +35,27 @@ class RotationError:
     def median_rad(self) -> float:
         """The median over the windows."""
         return float(np.median(self.angle_rad))
+
+
+def total_rotation(vectors_rad: FloatArray) -> Rotation:
+    """Return exp(v_0) exp(v_1) ... of each path.
+
+    Args:
+        vectors_rad: rotation vectors, shape (paths, steps, 3), steps at least 1.
+
+    Returns:
+        One rotation per path; neighbours are multiplied pairwise, log2(steps) passes.
+    """
+    paths, steps, _ = vectors_rad.shape
+    single = Rotation.from_rotvec(vectors_rad.reshape(-1, 3)).as_quat()
+    quaternion: FloatArray = single.reshape(paths, steps, 4)
+    while quaternion.shape[1] > 1:
+        even = quaternion.shape[1] // 2 * 2
+        left = Rotation.from_quat(quaternion[:, 0:even:2].reshape(-1, 4))
+        right = Rotation.from_quat(quaternion[:, 1:even:2].reshape(-1, 4))
+        pairs = (left * right).as_quat().reshape(paths, -1, 4)
+        quaternion = np.concatenate([pairs, quaternion[:, even:]], axis=1)
+    return Rotation.from_quat(quaternion[:, 0])
 
 
 def window_rotation_error(

@@ -4,7 +4,6 @@ What to use when: `explain_boards` for several boards, `explain_board` for one, 
 where its recordings are loaded already; `write_explanation` for the folder of findings.
 """
 
-import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -16,7 +15,7 @@ import msgspec
 from gyrorig_protocol.errors import GyrorigError
 from gyrorig_protocol.identity import BoardId
 from gyrorig_protocol.recording.recording import Recording
-from gyrorig_solver.discover import FitExplanation, explain_fit, explain_jointly
+from gyrorig_solver.discover import explain_jointly
 from gyrorig_solver.estimate import ConvergedFit
 from gyrorig_solver.findings import (
     FindingsDocument,
@@ -91,12 +90,6 @@ def explain_board(
         UsageError: the recordings cannot be fitted together.
     """
     return explain_data(load_board(recordings, board), held_out)
-
-
-def explain_recordings(recordings: Sequence[Recording], board: str) -> FitExplanation:
-    """Search for causes in one board's recordings on a pan-tilt unit."""
-    start_s = time.monotonic()
-    return explain_fit(fit_base(load_board(recordings, board)), board, start_s)
 
 
 def explain_data(data: BoardData, held_out: Recording | None = None) -> BoardExplanation:

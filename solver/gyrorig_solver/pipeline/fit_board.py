@@ -1,6 +1,5 @@
 """Fit one board by the best reference that its recordings have.
 
-What to use when: `solve_recordings` from recordings, `fit_board` where they are loaded already.
 Several boards that were on one unit at the same time are fitted in `criticised_fit`.
 """
 
@@ -9,7 +8,7 @@ from dataclasses import replace
 
 from gyrorig_protocol.recording.recording import Recording
 from gyrorig_solver.estimate import FittedTerm, GyroFit
-from gyrorig_solver.pipeline.board_data import BoardData, load_board
+from gyrorig_solver.pipeline.board_data import load_board
 
 
 def solve_recordings(
@@ -18,7 +17,7 @@ def solve_recordings(
     extend: Sequence[str] = (),
     named_terms: Sequence[FittedTerm] = (),
 ) -> GyroFit:
-    """Calibrate one board by the best reference of its recordings; see `fit_board`.
+    """Calibrate one board by the best reference of its recordings.
 
     Args:
         recordings: in any order.
@@ -31,15 +30,6 @@ def solve_recordings(
         InputError: the board is not in a recording, or there is no reference of any kind.
         UsageError: the recordings cannot be solved together, or a cause is unknown.
     """
-    return fit_board(load_board(recordings, board), extend, named_terms)
-
-
-def fit_board(
-    data: BoardData, extend: Sequence[str] = (), named_terms: Sequence[FittedTerm] = ()
-) -> GyroFit:
-    """Calibrate a board by the best reference of its recordings.
-
-    Arguments and errors as in `solve_recordings`.
-    """
+    data = load_board(recordings, board)
     fit = data.kind.fit(data, extend, named_terms)
     return replace(fit, warnings=(*data.missing, *fit.warnings))

@@ -25,12 +25,7 @@ from gyrorig_solver.estimate import (
 from gyrorig_solver.estimate.motion_fit import create_session, solve_motion, summarize_motion_fit
 from gyrorig_solver.model import LevelEstimate, RecordingContext
 from gyrorig_solver.model.leveling import level_from_rests
-from gyrorig_solver.pipeline.board_data import (
-    BoardData,
-    Session,
-    load_board,
-    reference_motion,
-)
+from gyrorig_solver.pipeline.board_data import BoardData, Session, reference_motion
 from gyrorig_solver.pipeline.recording_contexts import read_contexts
 from gyrorig_solver.pipeline.term_selection import TermSelection, select_terms
 from gyrorig_solver.reference import PanTiltReference, ReferenceMotion
@@ -85,11 +80,6 @@ def prepare_board(
     selection = select_terms(data.sessions, extend, named_terms)
     contexts = selection.contexts or read_contexts(data.sessions)
     return PreparedBoard(data.sessions, selection, contexts, data.kind.remedies, tuple(warnings))
-
-
-def fit_base_model(recordings: Sequence[Recording], board: str) -> ConvergedFit:
-    """Fit the base model to one board's recordings; see `fit_base`."""
-    return fit_base(load_board(recordings, board))
 
 
 def fit_base(data: BoardData) -> ConvergedFit:

@@ -1,9 +1,8 @@
 """Vectorised rotation algebra: products along a path, and increments between attitudes.
 
 What to use when: `prefix_products` for the attitudes along a path of small turns (for the
-gravity estimator); `total_rotation` for the end of many paths of one length
-(rotation error per window); `relative_vectors` for the turn between neighbouring
-attitudes. Single rotations: scipy's Rotation, or `model.gain_matrix` for the matrices of a mount.
+gravity estimator); `relative_vectors` for the turn between neighbouring attitudes. Single
+rotations: scipy's Rotation, or `model.gain_matrix` for the matrices of a mount.
 """
 
 import numpy as np
@@ -26,27 +25,6 @@ def prefix_products(vectors_rad: FloatArray) -> FloatArray:
         products[step:] = products[:-step] @ products[step:]
         step *= 2
     return np.asarray(products, dtype=np.float64)
-
-
-def total_rotation(vectors_rad: FloatArray) -> Rotation:
-    """Return exp(v_0) exp(v_1) ... of each path.
-
-    Args:
-        vectors_rad: rotation vectors, shape (paths, steps, 3), steps at least 1.
-
-    Returns:
-        One rotation per path; neighbours are multiplied pairwise, log2(steps) passes.
-    """
-    paths, steps, _ = vectors_rad.shape
-    single = Rotation.from_rotvec(vectors_rad.reshape(-1, 3)).as_quat()
-    quaternion: FloatArray = single.reshape(paths, steps, 4)
-    while quaternion.shape[1] > 1:
-        even = quaternion.shape[1] // 2 * 2
-        left = Rotation.from_quat(quaternion[:, 0:even:2].reshape(-1, 4))
-        right = Rotation.from_quat(quaternion[:, 1:even:2].reshape(-1, 4))
-        pairs = (left * right).as_quat().reshape(paths, -1, 4)
-        quaternion = np.concatenate([pairs, quaternion[:, even:]], axis=1)
-    return Rotation.from_quat(quaternion[:, 0])
 
 
 def relative_vectors(orientation_xyzw: FloatArray) -> FloatArray:

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from tests.support.board_fits import explain_recordings
 
 from gyrorig_protocol.recording.reader import read_recording
 from gyrorig_protocol.recording.recording import Recording
@@ -36,7 +37,6 @@ from gyrorig_solver.findings import (
 from gyrorig_solver.findings.findings_builder import FindingsOrigin, RawChecks
 from gyrorig_solver.findings.findings_document import BoardEntry, InputEntry
 from gyrorig_solver.model import value_indices, value_names
-from gyrorig_solver.pipeline.explain_board import explain_recordings
 
 Look = Callable[[Sequence[Recording], str], FitExplanation]
 NOTHING_OPENED = "2000-01-01T00:00:00Z"  # a fixed time, so that documents can be compared

@@ -15,6 +15,7 @@ from unittest.mock import patch
 
 import numpy as np
 from tests.hidden.scoring.stated import Look, StatedExplanation
+from tests.support.board_fits import explain_recordings
 
 from gyrorig_protocol.recording.recording import Recording
 from gyrorig_solver.data import FloatArray
@@ -31,7 +32,6 @@ from gyrorig_solver.estimate import (
 )
 from gyrorig_solver.estimate.noise.noise_model import Sampling, fit_noise_levels
 from gyrorig_solver.model.catalogue import catalogue
-from gyrorig_solver.pipeline import explain_board
 
 WHITE = 1e-9  # factor on a level: negligible, but its logarithm is finite
 Line = dict[str, Any]
@@ -47,7 +47,7 @@ class Variant:
 
 
 def _explain(recordings: Sequence[Recording], board: str) -> FitExplanation:
-    return explain_board.explain_recordings(recordings, board)
+    return explain_recordings(recordings, board)
 
 
 def _white_only(recordings: Sequence[Recording], board: str) -> FitExplanation:

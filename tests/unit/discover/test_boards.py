@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from tests.support.board_fits import fit_base_model
 
 from gyrorig_protocol.errors import InputError
 from gyrorig_protocol.identity import BoardId
@@ -27,7 +28,7 @@ from gyrorig_solver.estimate import ConvergedFit, NuisanceProjector, WhitenedSig
 from gyrorig_solver.model.catalogue import catalogue
 from gyrorig_solver.pipeline import explain_boards
 from gyrorig_solver.pipeline.board_results import BoardExplanation
-from gyrorig_solver.pipeline.prepare_board import fit_base_model, prepare_held_out
+from gyrorig_solver.pipeline.prepare_board import prepare_held_out
 
 pytestmark = pytest.mark.long
 

@@ -5,12 +5,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from tests.support.board_fits import fit_base_model
 
 from gyrorig_solver.discover import explain_fit
 from gyrorig_solver.discover.lag_series import LagSeries, lag_templates
 from gyrorig_solver.discover.motion_space import MotionFitSpace
 from gyrorig_solver.model import find_term
-from gyrorig_solver.pipeline.prepare_board import fit_base_model
 
 GROWTH = 3e-4
 

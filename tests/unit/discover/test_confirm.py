@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from tests.support.board_fits import fit_base_model
 
 from gyrorig_solver.discover import testable_terms
 from gyrorig_solver.discover.backward_elimination import eliminate_backward
@@ -17,7 +18,6 @@ from gyrorig_solver.discover.score_tests import scan_catalogue
 from gyrorig_solver.discover.template_choice import all_templates
 from gyrorig_solver.estimate import ConvergedFit, FittedTerm, NuisanceProjector, refit_with_terms
 from gyrorig_solver.model import find_term, value_indices
-from gyrorig_solver.pipeline.prepare_board import fit_base_model
 
 Fit = Callable[[str], ConvergedFit]
 

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from tests.support.board_fits import fit_base_model
 
 from gyrorig_solver.discover import cause_search, explain_fit, motion_space
 from gyrorig_solver.discover.cause_search import search_causes
@@ -20,7 +21,6 @@ from gyrorig_solver.estimate import (
 )
 from gyrorig_solver.estimate.board_fit import BoardFit
 from gyrorig_solver.estimate.likelihood_fit import CONFIRMED_NATS, CONFIRMED_SIGMA, LikelihoodFit
-from gyrorig_solver.pipeline.prepare_board import fit_base_model
 
 HIDDEN = "backlash@tilt:0.0015"
 WITHOUT = Convergence(False, 40, 9.0, "backlash.gap.tilt", 2.0)

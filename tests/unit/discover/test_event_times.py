@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from tests.support.board_fits import fit_base_model
 
 from gyrorig_solver.discover.candidate_fits import fit_best_place
 from gyrorig_solver.discover.exact_fit import FittedCandidate
@@ -12,7 +13,6 @@ from gyrorig_solver.discover.score_tests import scan_catalogue
 from gyrorig_solver.discover.template_choice import all_templates
 from gyrorig_solver.estimate import NuisanceProjector
 from gyrorig_solver.model import find_term
-from gyrorig_solver.pipeline.prepare_board import fit_base_model
 
 
 @pytest.fixture(scope="module")

@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from tests.support.board_fits import explain_recordings
 
 from gyrorig_solver.discover import FitExplanation, cause_search
 from gyrorig_solver.estimate import NuisanceProjector, ScoreStatistics, WhitenedSignals
-from gyrorig_solver.pipeline.explain_board import explain_recordings
 
 FAR = 4.0  # standard deviations: one in 16 000
 

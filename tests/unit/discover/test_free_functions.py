@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from tests.support.board_fits import fit_base_model
 
 from gyrorig_solver.discover.checks import residual_dependence
 from gyrorig_solver.discover.checks.residual_dependence import (
@@ -15,7 +16,6 @@ from gyrorig_solver.discover.checks.residual_dependence import (
 )
 from gyrorig_solver.discover.checks.smooth_alternatives import smooth_families
 from gyrorig_solver.estimate import NuisanceProjector, ScoreStatistics
-from gyrorig_solver.pipeline.prepare_board import fit_base_model
 
 N, DRAWS = 200, 1500
 

@@ -5,11 +5,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from tests.support.board_fits import explain_recordings
 
 from gyrorig_solver.discover import FitExplanation
 from gyrorig_solver.discover.held_out_gain import cross_validate_causes
 from gyrorig_solver.estimate import NuisanceProjector
-from gyrorig_solver.pipeline.explain_board import explain_recordings
 
 pytestmark = pytest.mark.long
 

@@ -3,12 +3,12 @@
 from collections.abc import Callable
 
 import pytest
+from tests.support.board_fits import fit_base_model
 from tests.unit.discover.conftest import HiddenRecording
 
 from gyrorig_solver.discover import explain_fit
 from gyrorig_solver.discover.checks.jitter_estimate import estimate_jitter
 from gyrorig_solver.estimate import NuisanceProjector
-from gyrorig_solver.pipeline.prepare_board import fit_base_model
 
 ALPHA, TESTS = 0.005, 60
 

@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from tests.support.board_fits import fit_base_model
 
 from gyrorig_solver.discover.cause_ranking import IRRELEVANT_SHARE, rank_against_alternatives
 from gyrorig_solver.discover.cause_search import search_causes
@@ -12,7 +13,6 @@ from gyrorig_solver.discover.law_candidates import fit_law_cause, largest_eviden
 from gyrorig_solver.discover.motion_space import MotionFitSpace
 from gyrorig_solver.discover.testable_terms import count_tests, select_testable
 from gyrorig_solver.model import find_term, term_label
-from gyrorig_solver.pipeline.prepare_board import fit_base_model
 
 TWO_CAUSES = ("acceleration_error@pan:0.01", "eccentricity@pan:0.002")
 HIDDEN = (

@@ -5,12 +5,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from tests.support.board_fits import fit_base_model
 
 from gyrorig_solver.discover.exact_fit import fit_candidate
 from gyrorig_solver.discover.template_choice import MIN_PERIODS, all_templates, folded_periods
 from gyrorig_solver.estimate import NuisanceProjector
 from gyrorig_solver.model.catalogue import catalogue
-from gyrorig_solver.pipeline.prepare_board import fit_base_model
 
 HUM = catalogue()["supply_hum"]
 FREQUENCY = 6

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from tests.support.board_fits import fit_base_model
 from tests.support.quick_cases import quick_cases
 from tests.unit.discover.conftest import ROOT
 
@@ -31,7 +32,6 @@ from gyrorig_solver.estimate.likelihood_fit import LikelihoodFit
 from gyrorig_solver.estimate.trust_region import ProposedStep
 from gyrorig_solver.model import find_term
 from gyrorig_solver.numerics import chi2_upper_tail
-from gyrorig_solver.pipeline.prepare_board import fit_base_model
 
 SEEDS = quick_cases((1, 2, 3), [1])
 FAR = 3.0  # standard deviations

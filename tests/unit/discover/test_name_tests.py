@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from tests.support.board_fits import fit_base_model
 
 from gyrorig_solver.discover.candidate_fits import fit_best_place
 from gyrorig_solver.discover.cause_findings import DependenceTest
@@ -23,7 +24,6 @@ from gyrorig_solver.discover.score_tests import scan_catalogue
 from gyrorig_solver.discover.template_choice import all_templates
 from gyrorig_solver.estimate import ConvergedFit, NuisanceProjector
 from gyrorig_solver.model.catalogue import catalogue
-from gyrorig_solver.pipeline.prepare_board import fit_base_model
 
 Base = Callable[..., ConvergedFit]
 

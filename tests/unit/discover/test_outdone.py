@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 
+from tests.support.board_fits import fit_base_model
 from tests.unit.discover.conftest import HiddenRecording
 
 from gyrorig_solver.discover.candidate_fits import fit_best_place
@@ -18,7 +19,6 @@ from gyrorig_solver.discover.score_tests import scan_catalogue
 from gyrorig_solver.discover.template_choice import all_templates
 from gyrorig_solver.estimate import NuisanceProjector
 from gyrorig_solver.model.catalogue import catalogue
-from gyrorig_solver.pipeline.prepare_board import fit_base_model
 
 TESTS = 60
 OF_RATES = DependenceTest("own_rate", "on the rates about the axes", 200.0, 24, 0.0)

@@ -6,12 +6,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from tests.support.board_fits import fit_base_model
 
 from gyrorig_solver.data import FloatArray
 from gyrorig_solver.estimate import NuisanceProjector, WhitenedSignals, join_signals
 from gyrorig_solver.model import AxisBiases, Signals, SignalState, dense_signals
 from gyrorig_solver.model.signal_arrays import weighted_sum
-from gyrorig_solver.pipeline.prepare_board import fit_base_model
 
 
 @pytest.fixture(scope="module")

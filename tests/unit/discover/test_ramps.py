@@ -4,6 +4,7 @@ from collections.abc import Callable
 from typing import Any
 
 import pytest
+from tests.support.board_fits import fit_base_model
 
 from gyrorig_solver.discover.cause_search import SearchResult
 from gyrorig_solver.discover.checks.model_check import JudgedModel
@@ -14,7 +15,6 @@ from gyrorig_solver.discover.ramp_acceleration import detect_ramp_error
 from gyrorig_solver.discover.score_tests import scan_catalogue
 from gyrorig_solver.discover.testable_terms import FALSE_ALARM_RATE
 from gyrorig_solver.model.causes.base_speed_jump import BaseSpeedJump
-from gyrorig_solver.pipeline.prepare_board import fit_base_model
 
 TESTS = 45
 

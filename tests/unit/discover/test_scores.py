@@ -5,13 +5,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from tests.support.board_fits import fit_base_model
 
 from gyrorig_solver.discover import score_tests
 from gyrorig_solver.discover.score_tests import ScoreTest, scan_catalogue
 from gyrorig_solver.discover.template_choice import quick_templates
 from gyrorig_solver.estimate import NuisanceProjector, WhitenedSignals
 from gyrorig_solver.model.catalogue import catalogue
-from gyrorig_solver.pipeline.prepare_board import fit_base_model
 
 CAUSES = ("backlash", "clock_step", "warm_up", "saturation", "low_pass_lag")
 

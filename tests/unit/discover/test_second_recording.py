@@ -6,12 +6,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from tests.support.board_fits import explain_recordings, fit_base_model
 
 from gyrorig_protocol.recording.recording import Recording
 from gyrorig_solver.data.samples import load_samples
 from gyrorig_solver.discover.held_out_gain import gain_on_recording
-from gyrorig_solver.pipeline.explain_board import explain_recordings
-from gyrorig_solver.pipeline.prepare_board import fit_base_model, prepare_held_out
+from gyrorig_solver.pipeline.prepare_board import prepare_held_out
 
 pytestmark = pytest.mark.long
 

@@ -4,12 +4,12 @@ from collections.abc import Callable
 from typing import Any
 
 import pytest
+from tests.support.board_fits import explain_recordings
 
 from gyrorig_solver.discover import NamedCause
 from gyrorig_solver.findings import build_findings_document
 from gyrorig_solver.findings.findings_builder import FindingsOrigin
 from gyrorig_solver.findings.findings_document import BoardEntry
-from gyrorig_solver.pipeline.explain_board import explain_recordings
 
 pytestmark = pytest.mark.long
 

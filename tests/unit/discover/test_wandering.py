@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from tests.support.board_fits import explain_recordings, fit_base_model
 
 from gyrorig_solver.discover.checks.random_walk import detect_random_walk, has_jumps
 from gyrorig_solver.discover.checks.typical_noise import (
@@ -16,8 +17,6 @@ from gyrorig_solver.discover.checks.typical_noise import (
 )
 from gyrorig_solver.estimate import nominal_levels
 from gyrorig_solver.numerics import chi2_upper_tail
-from gyrorig_solver.pipeline.explain_board import explain_recordings
-from gyrorig_solver.pipeline.prepare_board import fit_base_model
 
 
 @pytest.mark.long

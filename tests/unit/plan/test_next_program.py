@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 from tests.hidden.truth.session import RecordedSession, RigDraw, record
+from tests.support.board_fits import explain_recordings
 
 from gyrorig_daemon.emulator.emulator_settings import InjectionRequest
 from gyrorig_protocol.identity import BoardId
@@ -17,7 +18,6 @@ from gyrorig_solver.discover.cause_ranking import nats_for_sole_name
 from gyrorig_solver.findings.findings_document import parse_findings
 from gyrorig_solver.pipeline import explain_boards
 from gyrorig_solver.pipeline.board_results import BoardExplanation
-from gyrorig_solver.pipeline.explain_board import explain_recordings
 from gyrorig_solver.pipeline.next_experiment import next_experiment, with_next_experiment
 from gyrorig_solver.plan import NextExperiment, program_text
 from gyrorig_solver.plan.program_timeline import simulate_program

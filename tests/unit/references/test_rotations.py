@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
+from tests.support.rotation_error import total_rotation
 
 from gyrorig_solver.reference import prefix_products, turn_vectors
-from gyrorig_solver.reference.rotations import integrated_rate, relative_vectors, total_rotation
+from gyrorig_solver.reference.rotations import integrated_rate, relative_vectors
 
 
 @pytest.mark.parametrize("n", [1, 2, 3, 7, 64, 101])
