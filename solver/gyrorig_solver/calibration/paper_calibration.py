@@ -163,10 +163,8 @@ def _interpolated_angles(
                 "the unit for its position more often, and record again",
             )
         angles.append(np.interp(samples.time_s, middle_s[answered], polls[axis][answered]))
-        start_s, end_s = (
-            max(start_s, float(middle_s[answered][0])),
-            min(end_s, float(middle_s[answered][-1])),
-        )
+        start_s = max(start_s, float(middle_s[answered][0]))
+        end_s = min(end_s, float(middle_s[answered][-1]))
     return samples.time_s, angles[0], angles[1], (start_s, end_s)
 
 

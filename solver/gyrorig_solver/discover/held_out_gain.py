@@ -94,10 +94,8 @@ def gain_on_recording(
         how += f"; without the causes that only the other recording has: {left_out}"
     gain = compare_residuals(projector, how, *whitened)
     # The change of the motion from its prior counts too.
-    gain_nats, window_gain = (
-        extended_fit.log_likelihood - base_fit.log_likelihood,
-        gain.log_likelihood,
-    )
+    gain_nats = extended_fit.log_likelihood - base_fit.log_likelihood
+    window_gain = gain.log_likelihood
     shift = gain_nats - window_gain.value
     return replace(
         gain,

@@ -150,11 +150,9 @@ class BoardFit:
         if self._trial is None:
             raise ValueError("no step was tried")
         trial, self._trial = self._trial, None
-        self.gain, self.fitted_terms, self.sessions = (
-            trial.gain,
-            trial.fitted_terms,
-            trial.sessions,
-        )
+        self.gain = trial.gain
+        self.fitted_terms = trial.fitted_terms
+        self.sessions = trial.sessions
         # Before convergence good samples can look like outliers. Causes are rarely linear:
         # a rounded corner grows as the square of its length.
         refresh_limit = (

@@ -231,10 +231,8 @@ def motion_agreement_p_value(
         solve_triangular(cholesky_factor, unit_information, lower=True).T,
         lower=True,
     )
-    mean, spread = (
-        float(np.trace(white_information)),
-        float(np.sum(white_information * white_information)),
-    )
+    mean = float(np.trace(white_information))
+    spread = float(np.sum(white_information * white_information))
     return float(
         chi2_upper_tail(float(white_score @ white_score) * mean / spread, mean**2 / spread)
     )

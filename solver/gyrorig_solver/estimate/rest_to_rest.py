@@ -111,10 +111,8 @@ def _compare(
     observed = np.flatnonzero((unobservable < 1e-6) & (np.diag(summed_covariance) > 0.0))
     if not observed.size:
         return CrossCheck(moves, 0.0, 0, 1.0, 0.0)
-    observed_difference, covariance = (
-        difference[observed],
-        summed_covariance[np.ix_(observed, observed)],
-    )
+    observed_difference = difference[observed]
+    covariance = summed_covariance[np.ix_(observed, observed)]
     statistic = float(observed_difference @ np.linalg.solve(covariance, observed_difference))
     return CrossCheck(
         moves=moves,

@@ -38,10 +38,8 @@ def choose_order(
         bias_rad_s: mean residual rate of each window, shape (w, 3).
         std_rad_s: of such a mean, shape (3,).
     """
-    span_k, windows = (
-        float(np.ptp(temperatures_k[0])) if temperatures_k[0].size else 0.0,
-        temperatures_k[0].size,
-    )
+    span_k = float(np.ptp(temperatures_k[0])) if temperatures_k[0].size else 0.0
+    windows = temperatures_k[0].size
     if span_k < MIN_SPAN_K or windows < MIN_WINDOWS:
         return OrderChoice(0, 0, span_k)
     squares = {

@@ -38,10 +38,8 @@ class HermiteInterpolator:
         lower, upper = signal[self.lower_index], signal[self.lower_index + 1]
         rise = (upper - lower) / width
         lower_slope, upper_slope = slope[self.lower_index], slope[self.lower_index + 1]
-        quadratic, cubic = (
-            3.0 * rise - 2.0 * lower_slope - upper_slope,
-            lower_slope + upper_slope - 2.0 * rise,
-        )
+        quadratic = 3.0 * rise - 2.0 * lower_slope - upper_slope
+        cubic = lower_slope + upper_slope - 2.0 * rise
         value = lower + width * fraction * (lower_slope + fraction * (quadratic + fraction * cubic))
         return value, lower_slope + fraction * (2.0 * quadratic + 3.0 * fraction * cubic)
 

@@ -42,10 +42,8 @@ def read_site(recording: Recording) -> Site:
         InputError: an entry is no number, or no place on Earth.
     """
     site = recording.metadata.get("gyrorig.site", {})
-    latitude, heading = (
-        _site_angle(site, "latitude_deg", 90.0),
-        _site_angle(site, "heading_deg", 360.0),
-    )
+    latitude = _site_angle(site, "latitude_deg", 90.0)
+    heading = _site_angle(site, "heading_deg", 360.0)
     gravity = positive_number(site, "gravity_m_s2") or STANDARD_GRAVITY_M_S2
     return Site(latitude, heading, gravity)
 

@@ -84,10 +84,8 @@ def residual_by_effect(series: ReportSeries, effect: FloatArray, key: str, axis:
 
     For motion by hand, where an effect is visible only on average.
     """
-    predicted, residual = (
-        np.degrees(effect[:, axis]),
-        np.degrees(series.residual_without(key)[:, axis]),
-    )
+    predicted = np.degrees(effect[:, axis])
+    residual = np.degrees(series.residual_without(key)[:, axis])
     known = np.isfinite(predicted) & np.isfinite(residual)
     order = np.argsort(predicted[known])
     groups = np.array_split(order, min(EFFECT_GROUPS, max(1, order.size // MIN_BLOCKS_PER_BIN)))

@@ -189,10 +189,8 @@ def _segments(
 ) -> list[_SeriesSegment]:
     segments: list[_SeriesSegment] = []
     first_s = float(base.series[0].time_s[0])
-    base_residuals, extended_residuals = (
-        base.residuals(base_solution.gain),
-        extended.residuals(extended_solution.gain),
-    )
+    base_residuals = base.residuals(base_solution.gain)
+    extended_residuals = extended.residuals(extended_solution.gain)
     for k, series in enumerate(base.series):
         use, has_residual = extended.used[k], base.used[k] & extended.used[k]
         time_s = series.block_times_s()

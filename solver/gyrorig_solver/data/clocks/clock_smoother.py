@@ -196,11 +196,9 @@ def _likeliest_walk(windows: DelayWindows, used: BoolArray) -> tuple[float, floa
         z = np.clip(error[innovations] / np.sqrt(variance[innovations]), -4.0, 4.0)
         likelihood = -0.5 * float(np.sum(z**2 + np.log(variance[innovations])))
         if likelihood > best_likelihood:
-            best_likelihood, walk, autocorrelation = (
-                likelihood,
-                candidate,
-                excess_autocorrelation(z),
-            )
+            best_likelihood = likelihood
+            walk = candidate
+            autocorrelation = excess_autocorrelation(z)
     return walk, autocorrelation
 
 

@@ -118,11 +118,9 @@ def estimate_latency_bounds(
     counter_bits: int,
 ) -> LatencyBounds | None:
     """Return the bounds of the minimum latency, None if the pings are not sufficient."""
-    sample_index, ticks, host_s = (
-        nearest_samples.index,
-        nearest_samples.ticks,
-        nearest_samples.host_s,
-    )
+    sample_index = nearest_samples.index
+    ticks = nearest_samples.ticks
+    host_s = nearest_samples.host_s
     before = np.maximum(sample_index - 1, 0)
     # Between two segments the clock of a ping is not known.
     usable = clock.segment[sample_index] == clock.segment[before]

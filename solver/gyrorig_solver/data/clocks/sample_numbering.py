@@ -109,10 +109,8 @@ class _NumberedSegment:
             discarded.append(rows.start + discarded_rows)
             discarded_numbers.append(count[discarded_rows] - self.min_number)
             number[rows] = count - self.min_number
-        discarded_rows, late_numbers = (
-            np.concatenate(discarded),
-            np.unique(np.concatenate(discarded_numbers)),
-        )
+        discarded_rows = np.concatenate(discarded)
+        late_numbers = np.unique(np.concatenate(discarded_numbers))
         if not discarded_rows.size:
             return discarded_rows, self.span + 1 - number.size
         # A late sample is not missing. The kept numbers increase, therefore they can be searched.

@@ -78,10 +78,8 @@ def compare_scopes(
     if supporting:
         penalty = SINGLE_BOARD_PENALTY_NATS if ownership == "unit" else 0.0
         trials = max(fit[1] for fit in fits if fit is not None)
-        evidence, gain = (
-            sum(fitted.log_evidence for fitted in supporting),
-            sum(fitted.delta_log_likelihood for fitted in supporting),
-        )
+        evidence = sum(fitted.log_evidence for fitted in supporting)
+        gain = sum(fitted.delta_log_likelihood for fitted in supporting)
         hypotheses.append(ScopeHypothesis(term, None, per_board, trials, evidence - penalty, gain))
     if ownership != "board":
         fit = _fit_term(JointProjector(boards), term, tests)

@@ -54,16 +54,12 @@ def pulse_templates(state: SignalState, times_per_block: int = 2) -> PulseTempla
         intervals = np.arange(lead_intervals, state.interval_count, stride)
         intervals = intervals[state.moving[axis, intervals] & state.motion_known[intervals]]
         first_blocks = (intervals - lead_intervals) // intervals_per_block
-        intervals, first_blocks = (
-            intervals[first_blocks + pulse_blocks <= state.block_count],
-            first_blocks[first_blocks + pulse_blocks <= state.block_count],
-        )
+        intervals = intervals[first_blocks + pulse_blocks <= state.block_count]
+        first_blocks = first_blocks[first_blocks + pulse_blocks <= state.block_count]
         direction = np.zeros((intervals.size, 3))
         if axis == 0:
-            direction[:, 1], direction[:, 2] = (
-                np.sin(state.tilt_rad[intervals]),
-                np.cos(state.tilt_rad[intervals]),
-            )
+            direction[:, 1] = np.sin(state.tilt_rad[intervals])
+            direction[:, 2] = np.cos(state.tilt_rad[intervals])
         else:
             direction[:, 0] = 1.0
         responses = kernel[((intervals - lead_intervals) % intervals_per_block) // stride]

@@ -92,10 +92,8 @@ class CountedReference:
             segment_range = self._segments_between(axis, time_s)
             angle[axis] = self._rest_steps(axis, segment_range.start)
             for k in range(segment_range.start, segment_range.stop):
-                segment, coefficients = (
-                    self._axis_segments[axis][k],
-                    self._all_coefficients(axis, k),
-                )
+                segment = self._axis_segments[axis][k]
+                coefficients = self._all_coefficients(axis, k)
                 first, last = np.searchsorted(time_s, [segment.begin_s, segment.end_s])
                 inside = time_s[first:last]
                 angle[axis, first:last] = segment.position_steps(inside, coefficients)
@@ -120,10 +118,8 @@ class CountedReference:
             local += self._rest_derivatives(axis, segment_range, edges_s, jacobian)
             change = np.zeros(edges_s.size)
             for k in range(segment_range.start, segment_range.stop):
-                segment, coefficients = (
-                    self._axis_segments[axis][k],
-                    self._all_coefficients(axis, k),
-                )
+                segment = self._axis_segments[axis][k]
+                coefficients = self._all_coefficients(axis, k)
                 local += _inner_derivatives(
                     segment, self._first_inner_unknown[axis][k], edges_s, jacobian
                 )
@@ -156,11 +152,9 @@ class CountedReference:
 
     def _all_coefficients(self, axis: int, k: int) -> FloatArray:
         """Return all coefficients of the k-th segment of an axis."""
-        segment, first, rest = (
-            self._axis_segments[axis][k],
-            self._first_inner_unknown[axis][k],
-            self._rest_unknown(axis, k),
-        )
+        segment = self._axis_segments[axis][k]
+        first = self._first_inner_unknown[axis][k]
+        rest = self._rest_unknown(axis, k)
         ends = (float(self.values[rest]), float(self.values[rest + 1]))
         return segment.all_coefficients(ends, self.values[first : first + segment.inner_count])
 

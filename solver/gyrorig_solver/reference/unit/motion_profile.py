@@ -81,10 +81,8 @@ class MotionProfile:
         """Return position, speed and acceleration, signed, at a time after the start."""
         segment = max(0, int(np.searchsorted(self.start_s, time_s, side="right")) - 1)
         since = time_s - float(self.start_s[segment])
-        speed, acceleration = (
-            float(self.start_speed_steps_s[segment]),
-            float(self.acceleration_steps_s2[segment]),
-        )
+        speed = float(self.start_speed_steps_s[segment])
+        acceleration = float(self.acceleration_steps_s2[segment])
         steps = float(self.start_steps[segment]) + (speed + 0.5 * acceleration * since) * since
         return steps, speed + acceleration * since, acceleration
 
@@ -166,10 +164,8 @@ class _ProfileBuilder:
             start, steps, speed, acceleration, distance_steps = self._segments[-1]
             since = time_s - start
             change_steps = (speed + 0.5 * acceleration * since) * since
-            self.steps, self.distance_steps = (
-                steps + change_steps,
-                distance_steps + abs(change_steps),
-            )
+            self.steps = steps + change_steps
+            self.distance_steps = distance_steps + abs(change_steps)
             self.speed = speed + acceleration * since
         self.time_s = time_s
 
@@ -244,10 +240,8 @@ class _ProfileBuilder:
             (self.time_s, self.steps, self.speed, acceleration, self.distance_steps)
         )
         change_steps = (self.speed + 0.5 * acceleration * duration) * duration
-        self.steps, self.distance_steps = (
-            self.steps + change_steps,
-            self.distance_steps + abs(change_steps),
-        )
+        self.steps = self.steps + change_steps
+        self.distance_steps = self.distance_steps + abs(change_steps)
         self.time_s += duration
         self.speed += acceleration * duration
 

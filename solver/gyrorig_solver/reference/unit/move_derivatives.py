@@ -96,11 +96,9 @@ class AxisDerivatives:
                 acceleration = move.pad_to_edges(samples.by_acceleration)
             else:
                 derivatives = self._profile_derivatives(k, intervals)
-                starts, speeds, acceleration = (
-                    list(derivatives.starts),
-                    list(derivatives.speeds),
-                    derivatives.acceleration,
-                )
+                starts = list(derivatives.starts)
+                speeds = list(derivatives.speeds)
+                acceleration = derivatives.acceleration
             for row, slope in zip(table.speed_classes(k), speeds, strict=True):
                 shared[row, intervals] += self._stage_rate(slope, intervals)
             shared[table.speed_class_count + self._axis, intervals] += self._stage_rate(

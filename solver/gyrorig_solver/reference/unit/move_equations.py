@@ -150,11 +150,9 @@ class BandedNormalEquations:
         number = np.empty_like(self.band_position)
         number[self.band_position] = np.arange(self.band_position.size)
         diagonal, position = np.nonzero(self.band)
-        row, column, value = (
-            number[position + diagonal],
-            number[position],
-            self.band[diagonal, position],
-        )
+        row = number[position + diagonal]
+        column = number[position]
+        value = self.band[diagonal, position]
         is_off_diagonal = diagonal > 0
         return (
             np.concatenate([row, column[is_off_diagonal]]),

@@ -207,11 +207,9 @@ class MoveFitIteration:
         self._common_shift_std_s = (least_s + polls.constant_width_s) / float(np.sqrt(12.0))
         self._poll_spacing_s: FloatArray | None = None
         self._law_information: LawInformation | None = None
-        self._rest_variance, self._variance_estimates, self._start_change_s = (
-            STEP_VARIANCE,
-            0,
-            np.inf,
-        )
+        self._rest_variance = STEP_VARIANCE
+        self._variance_estimates = 0
+        self._start_change_s = np.inf
         if rest_variance is not None:
             self._rest_variance, self._variance_estimates = rest_variance, VARIANCE_ESTIMATES
 
@@ -295,10 +293,8 @@ class MoveFitIteration:
         )
 
     def _likelihood(self) -> PollLikelihood:
-        parameters, count_parameters = (
-            self._layout.parameters(self._values),
-            CountParameters(*self._values[-COUNT_PARAMETERS:]),
-        )
+        parameters = self._layout.parameters(self._values)
+        count_parameters = CountParameters(*self._values[-COUNT_PARAMETERS:])
         return PollLikelihood.of(self._table, self._counts, parameters, count_parameters, self._law)
 
     def _normal_equations(self) -> BandedNormalEquations:

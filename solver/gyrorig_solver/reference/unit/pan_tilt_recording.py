@@ -108,12 +108,10 @@ def unexplained_spans(
             first, last = max(0, begin - NEIGHBOURS), begin + POLLS_PER_PIECE + NEIGHBOURS
             inner_rows = slice(begin - first, begin - first + POLLS_PER_PIECE)
             time_s, moving, is_off, known = _compare_counts(reference, polls, use[first:last], axis)
-            time_s, moving, is_off, known = (
-                time_s[inner_rows],
-                moving[inner_rows],
-                is_off[inner_rows],
-                known[inner_rows],
-            )
+            time_s = time_s[inner_rows]
+            moving = moving[inner_rows]
+            is_off = is_off[inner_rows]
+            known = known[inner_rows]
             moving_count += int(moving.sum())
             lost_count += int(np.sum(moving & (is_off | ~known)))
             lost_times.append(time_s[is_off & known])
@@ -136,11 +134,9 @@ def _compare_counts(
     Returns:
         Times; masks of moving, contradicting and known counts.
     """
-    earliest_s, latest_s, counted = (
-        polls.earliest_s[rows],
-        polls.latest_s[rows],
-        polls.steps[rows, axis],
-    )
+    earliest_s = polls.earliest_s[rows]
+    latest_s = polls.latest_s[rows]
+    counted = polls.steps[rows, axis]
     time_s = np.maximum.accumulate((earliest_s + latest_s) / 2.0)
     slack_s = (latest_s - earliest_s) / 2.0 + MAX_START_ERROR_S
     planned = reference.angles_rad(time_s)[axis] / reference.rad_per_step[axis]

@@ -286,12 +286,10 @@ def _evaluate_polls(
     samples = track.sample(at_s)
     moving = np.flatnonzero(samples.is_moving)
     samples = samples.subset(moving)
-    move, speed, progress, steps = (
-        samples.move,
-        samples.speed_steps_s,
-        samples.progress,
-        samples.steps,
-    )
+    move = samples.move
+    speed = samples.speed_steps_s
+    progress = samples.progress
+    steps = samples.steps
     departure_offset = parameters.rest_offset_steps[table.departure[move]]
     planned = (
         steps

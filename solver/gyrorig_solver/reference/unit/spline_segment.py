@@ -156,10 +156,8 @@ def fit_segment(
             best = (log_evidence - misfit, intensity)
     _, intensity = best
     roughness_weight = 1.0 / (INTENSITY_FACTOR * intensity * knot_spacing_s**3)
-    total, information_vector = (
-        normal_matrix + roughness_weight * roughness,
-        normal_vector + roughness_weight * roughness_vector,
-    )
+    total = normal_matrix + roughness_weight * roughness
+    information_vector = normal_vector + roughness_weight * roughness_vector
     # The count of a rest belongs to two segments; the caller adds it once.
     return SplineSegment(
         axis, span_s[0], knot_spacing_s, intervals, counts, total, information_vector

@@ -143,11 +143,9 @@ class TrapezoidalMoves:
             travelled: steps, shape (n,), from 0 to the distance of the move.
             move: index of the move, shape (n,).
         """
-        distance, base_speed, a = (
-            self.distance[move],
-            self.base_speed[move],
-            self.acceleration[move],
-        )
+        distance = self.distance[move]
+        base_speed = self.base_speed[move]
+        a = self.acceleration[move]
         peak_speed, ramp = self.peak_speed[move], self.ramp_steps[move]
         from_nearer_end = np.minimum(
             travelled, distance - travelled
