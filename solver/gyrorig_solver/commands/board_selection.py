@@ -1,4 +1,6 @@
-"""Which boards of a recording a command works on."""
+"""Which boards of recordings a command works on."""
+
+from collections.abc import Sequence
 
 from gyrorig_protocol.errors import InputError
 from gyrorig_protocol.identity import BoardId
@@ -26,3 +28,15 @@ def select_boards(recording: Recording, wanted: str | None) -> tuple[BoardId, ..
             f"choose one of its boards with --board: {list_closest(wanted, available)}",
         )
     return (BoardId(wanted),)
+
+
+def recordings_by_board(
+    recordings: Sequence[Recording], wanted: str | None
+) -> dict[BoardId, list[Recording]]:
+    """Return each wanted board with its recordings."""
+    by_board: dict[BoardId, list[Recording]] = {}
+    for recording in recordings:
+        for board in recording.board_ids:
+            if wanted is None or board == wanted:
+                by_board.setdefault(board, []).append(recording)
+    return by_board

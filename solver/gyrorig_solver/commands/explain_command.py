@@ -7,10 +7,9 @@ from typing import Any
 import click
 
 from gyrorig_protocol.errors import GyrorigError, UsageError
-from gyrorig_protocol.identity import BoardId
 from gyrorig_protocol.recording.reader import read_recording
-from gyrorig_protocol.recording.recording import Recording
-from gyrorig_solver.commands.board_selection import select_boards
+from gyrorig_solver.commands.board_selection import recordings_by_board
+from gyrorig_solver.commands.input_failures import InputFailures, read_with_board
 from gyrorig_solver.commands.terminal import (
     NOT_IDENTIFIABLE,
     PARTIAL,
@@ -110,20 +109,10 @@ def explain_command(
     if next_program is not None:
         require_new_path(next_program, "--next-program")
     held_out_recording = None if held_out is None else read_recording(held_out)
-    read_recordings: list[Recording] = []
-    failed: list[dict[str, str]] = []
-    faults: list[GyrorigError] = []
-    for path in recordings:
-        terminal.print_progress(f"reading {path.name}")
-        try:
-            recording = read_recording(path)
-            select_boards(recording, board)
-            read_recordings.append(recording)
-        except GyrorigError as fault:
-            faults.append(fault)
-            failed.append({"recording": str(path), "board": "", "error": str(fault)})
+    failures = InputFailures()
+    usable = read_with_board(terminal, recordings, board, failures)
     written: list[WrittenFindings] = []
-    recordings_of_board = recordings_by_board(read_recordings, board)
+    recordings_of_board = recordings_by_board(usable, board)
     if next_program is not None and len(recordings_of_board) > 1:
         raise UsageError(
             "the option --next-program gives one file, but the recordings have several boards",
@@ -141,42 +130,23 @@ def explain_command(
             written.append(write_explanation(out, planned, next_program))
             terminal.print_result(findings_text(written[-1]))
         except GyrorigError as fault:
-            faults.append(fault)
-            first_path = str(recordings_of_board[name][0].path)
-            failed.append({"recording": first_path, "board": str(name), "error": str(fault)})
-    if len(faults) == 1 and not written:
-        raise faults[0]
-    for failure in failed:
-        terminal.print_error(f"{failure['board'] or failure['recording']}: {failure['error']}")
-    code = exit_code([written_board.document for written_board in written], faults)
-    terminal.print_json(
-        {"boards": [findings_json(w) for w in written], "failed": failed, "exit_code": code}
-    )
+            failures.add(fault, recordings_of_board[name][0].path, str(name))
+    failures.report(terminal, bool(written))
+    code = exit_code([written_board.document for written_board in written], failures.faults)
+    boards = [findings_json(written_board) for written_board in written]
+    terminal.print_json({"boards": boards, "failed": failures.rows, "exit_code": code})
     return code
-
-
-def recordings_by_board(
-    recordings: Sequence[Recording], wanted: str | None
-) -> dict[BoardId, list[Recording]]:
-    """Return each wanted board with its recordings."""
-    by_board: dict[BoardId, list[Recording]] = {}
-    for recording in recordings:
-        for board in recording.board_ids:
-            if wanted is None or board == wanted:
-                by_board.setdefault(board, []).append(recording)
-    return by_board
 
 
 def exit_code(documents: Sequence[FindingsDocument], faults: Sequence[GyrorigError]) -> int:
     """Return 5 where some boards failed, 4 where a board's recordings test no cause."""
     if faults:
         return PARTIAL if documents else faults[0].exit_code
-    return NOT_IDENTIFIABLE if any(_nothing_testable(document) for document in documents) else 0
-
-
-def _nothing_testable(document: FindingsDocument) -> bool:
-    """Return whether only the raw samples could be checked."""
-    return document.gain is None and not document.minimal_detectable
+    # Without a gain and without limits, only the raw samples could be checked.
+    untested = any(
+        document.gain is None and not document.minimal_detectable for document in documents
+    )
+    return NOT_IDENTIFIABLE if untested else 0
 
 
 def findings_text(written: WrittenFindings) -> str:

@@ -1,6 +1,7 @@
 """`gyrorig solve`: calibrate the boards of recordings; each result is a new version."""
 
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,8 @@ from gyrorig_protocol.recording.reader import read_recording
 from gyrorig_protocol.recording.recording import Recording
 from gyrorig_solver.calibration import CalibrationStore, calibration_as_mapping
 from gyrorig_solver.calibration.calibration_summary import calibration_summary
-from gyrorig_solver.commands.board_selection import select_boards
+from gyrorig_solver.commands.board_selection import recordings_by_board
+from gyrorig_solver.commands.input_failures import InputFailures, read_with_board
 from gyrorig_solver.commands.terminal import (
     NOT_IDENTIFIABLE,
     PARTIAL,
@@ -96,102 +98,94 @@ def solve_command(
       gyrorig solve demo/session.mcap --out calibrations
       gyrorig solve static.mcap monday.mcap friday.mcap --extend thermal_bias,g_sensitivity
     """
-    causes = _requested_causes(extend, method)
-    settings = None if uncertainty is None else read_settings(uncertainty)
-    knowledge = read_unit_knowledge(unit_prior, Folder(out))
-    faults: list[GyrorigError] = []
-    failed: list[dict[str, str]] = []
-    read_recordings: list[Recording] = []
-    for path in recordings:
-        terminal.print_progress(f"reading {path.name}")
-        try:
-            with limit_input(path.name, size_of_inputs([path])):
-                read_recordings.append(read_recording(path))
-                select_boards(read_recordings[-1], board)
-        except GyrorigError as fault:
-            faults.append(fault)
-            failed.append({"recording": str(path), "board": "", "error": str(fault)})
+    request = _SolveRequest(
+        method,
+        _requested_causes(extend, method),
+        out,
+        None if uncertainty is None else read_settings(uncertainty),
+        read_unit_knowledge(unit_prior, Folder(out)),
+        allow_contradiction,
+    )
+    failures = InputFailures()
+    read = read_with_board(terminal, recordings, board, failures, _read_limited)
     name = recordings[0].name if len(recordings) == 1 else f"{len(recordings)} recordings"
-    message_count = sum(recording.message_count for recording in read_recordings)
-    with limit_fit_memory(name, size_of_inputs(recordings), message_count):
-        return _solve_recordings(
-            terminal,
-            read_recordings,
+    messages = sum(recording.message_count for recording in read)
+    with limit_fit_memory(name, size_of_inputs(recordings), messages):
+        return _solve_recordings(terminal, read, board, request, failures)
+
+
+@dataclass(frozen=True, slots=True)
+class _SolveRequest:
+    """How to solve every board."""
+
+    method: str
+    causes: Sequence[str]
+    out: Path
+    settings: UncertaintySettings | None
+    knowledge: UnitKnowledge
+    allow_contradiction: bool
+
+    def solve(
+        self,
+        recordings: Sequence[Recording],
+        board: BoardId,
+        ready: CriticisedFit | GyrorigError | None,
+    ) -> StoredResult:
+        """Solve one board, or write its part of a joint solution."""
+        if isinstance(ready, GyrorigError):
+            raise ready
+        return solve_and_store(
+            CalibrationStore(self.out),
+            recordings,
             board,
-            method,
-            causes,
-            out,
-            settings,
-            knowledge,
-            allow_contradiction,
-            faults,
-            failed,
+            self.method,
+            self.causes,
+            ready,
+            uncertainty=self.settings,
+            unit_knowledge=self.knowledge,
+            allow_contradiction=self.allow_contradiction,
         )
 
 
 def _solve_recordings(
     terminal: Terminal,
-    read_recordings: Sequence[Recording],
+    recordings: Sequence[Recording],
     board: str | None,
-    method: str,
-    causes: Sequence[str],
-    out: Path,
-    settings: UncertaintySettings | None,
-    knowledge: UnitKnowledge,
-    allow_contradiction: bool,
-    faults: list[GyrorigError],
-    failed: list[dict[str, str]],
+    request: _SolveRequest,
+    failures: InputFailures,
 ) -> int:
-    """Solve and print, and return the exit status; `faults`, `failed`: of the recordings so far."""
+    """Solve and print, and return the exit status; `failures`: of the recordings so far."""
     solved: list[StoredResult] = []
-    for names, group_recordings in _boards_solved_together(
-        read_recordings, board, one_by_one=method == "paper"
+    causes = request.causes
+    for names, group in _boards_solved_together(
+        recordings, board, one_by_one=request.method == "paper"
     ):
         board_text = names[0] if len(names) == 1 else f"{len(names)} boards"
-        recording_names = ", ".join(recording.path.name for recording in group_recordings)
+        recording_names = ", ".join(recording.path.name for recording in group)
         terminal.print_progress(f"solving {board_text} of {recording_names}")
-        ready = fit_together(group_recordings, names, method, causes, allow_contradiction)
+        ready = fit_together(group, names, request.method, causes, request.allow_contradiction)
         for name in names:
             try:
-                solved.append(
-                    _solve_board(
-                        out,
-                        group_recordings,
-                        name,
-                        method,
-                        causes,
-                        ready.get(name),
-                        settings,
-                        knowledge,
-                        allow_contradiction,
-                    )
-                )
-                terminal.print_result(
-                    _result_text(solved[-1]), solved[-1].calibration.trust.verdict
-                )
+                result = request.solve(group, name, ready.get(name))
+                solved.append(result)
+                terminal.print_result(_result_text(result), result.calibration.trust.verdict)
             except GyrorigError as fault:
-                faults.append(fault)
-                failed.append(
-                    {
-                        "recording": str(group_recordings[0].path),
-                        "board": str(name),
-                        "error": str(fault),
-                    }
-                )
-    if len(faults) == 1 and not solved:
-        raise faults[0]
-    for failure in failed:
-        terminal.print_error(f"{failure['board'] or failure['recording']}: {failure['error']}")
+                failures.add(fault, group[0].path, str(name))
+    failures.report(terminal, bool(solved))
     if not solved:
-        terminal.print_json({"boards": [], "failed": failed, "exit_code": faults[0].exit_code})
-        return faults[0].exit_code
-    code = PARTIAL if failed else 0
-    if not failed and any(_is_incomplete(result, causes) for result in solved):
-        code = NOT_IDENTIFIABLE
-    terminal.print_json(
-        {"boards": [_result_json(result) for result in solved], "failed": failed, "exit_code": code}
-    )
+        code = failures.faults[0].exit_code
+    elif failures.rows:
+        code = PARTIAL
+    else:
+        code = NOT_IDENTIFIABLE if any(_is_incomplete(r, causes) for r in solved) else 0
+    boards = [_result_json(result) for result in solved]
+    terminal.print_json({"boards": boards, "failed": failures.rows, "exit_code": code})
     return code
+
+
+def _read_limited(path: Path) -> Recording:
+    with limit_input(path.name, size_of_inputs([path])):
+        return read_recording(path)
 
 
 def _requested_causes(extend: str, method: str) -> tuple[str, ...]:
@@ -225,49 +219,18 @@ def _boards_solved_together(
 
     Boards of the same recordings are in one group.
     """
-    pooled: dict[BoardId, list[Recording]] = {}
-    for recording in recordings:
-        for board in recording.board_ids:
-            if wanted is not None and board != wanted:
-                continue
-            if one_by_one:
-                yield [board], [recording]
-            else:
-                pooled.setdefault(board, []).append(recording)
-    boards_by_recordings: dict[tuple[int, ...], list[BoardId]] = {}
-    for board, board_recordings in pooled.items():
-        boards_by_recordings.setdefault(
-            tuple(id(recording_item) for recording_item in board_recordings), []
-        ).append(board)
-    for boards in boards_by_recordings.values():
+    if one_by_one:
+        for recording in recordings:
+            for board in recording.board_ids:
+                if wanted in (None, board):
+                    yield [board], [recording]
+        return
+    pooled = recordings_by_board(recordings, wanted)
+    groups: dict[tuple[int, ...], list[BoardId]] = {}
+    for board, of_board in pooled.items():
+        groups.setdefault(tuple(id(recording) for recording in of_board), []).append(board)
+    for boards in groups.values():
         yield boards, pooled[boards[0]]
-
-
-def _solve_board(
-    out: Path,
-    recordings: Sequence[Recording],
-    board: BoardId,
-    method: str,
-    causes: Sequence[str],
-    ready: CriticisedFit | GyrorigError | None,
-    uncertainty: UncertaintySettings | None,
-    knowledge: UnitKnowledge,
-    allow_contradiction: bool,
-) -> StoredResult:
-    """Solve one board, or write its part of a joint solution."""
-    if isinstance(ready, GyrorigError):
-        raise ready
-    return solve_and_store(
-        CalibrationStore(out),
-        recordings,
-        board,
-        method,
-        causes,
-        ready,
-        uncertainty=uncertainty,
-        unit_knowledge=knowledge,
-        allow_contradiction=allow_contradiction,
-    )
 
 
 def _result_text(solved: StoredResult) -> str:

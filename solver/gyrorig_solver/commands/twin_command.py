@@ -4,11 +4,8 @@ from pathlib import Path
 
 import click
 
-from gyrorig_protocol.errors import GyrorigError
-from gyrorig_protocol.recording.reader import read_recording
-from gyrorig_protocol.recording.recording import Recording
 from gyrorig_protocol.twin import twin_to_plain
-from gyrorig_solver.commands.board_selection import select_boards
+from gyrorig_solver.commands.input_failures import InputFailures, read_with_board
 from gyrorig_solver.commands.terminal import (
     NOT_IDENTIFIABLE,
     PARTIAL,
@@ -59,44 +56,30 @@ def twin_command(
       gyrorig twin demo/session.mcap --out twin
       gyrorig twin monday.mcap friday.mcap --board GY80-1
     """
-    failed: list[dict[str, str]] = []
-    faults: list[GyrorigError] = []
-    read_recordings: list[Recording] = []
-    for path in recordings:
-        terminal.print_progress(f"reading {path.name}")
-        try:
-            recording = read_recording(path)
-            select_boards(recording, board)
-            read_recordings.append(recording)
-        except GyrorigError as fault:
-            faults.append(fault)
-            failed.append({"recording": str(path), "board": "", "error": str(fault)})
-    if not read_recordings and faults:
-        raise faults[0]
-    check_one_rig(read_recordings)
-    terminal.print_progress(f"explaining {', '.join(r.path.name for r in read_recordings)}")
-    fitted = fit_boards(read_recordings, board)
-    faults += fitted.errors.values()
-    failed += [
-        {"recording": str(read_recordings[0].path), "board": name, "error": str(fault)}
-        for name, fault in fitted.errors.items()
-    ]
+    failures = InputFailures()
+    usable = read_with_board(terminal, recordings, board, failures)
+    if not usable and failures.faults:
+        raise failures.faults[0]
+    check_one_rig(usable)
+    terminal.print_progress(f"explaining {', '.join(r.path.name for r in usable)}")
+    fitted = fit_boards(usable, board)
+    for name, fault in fitted.errors.items():
+        failures.add(fault, usable[0].path, name)
     if not fitted.fits:
-        raise faults[0]
+        raise failures.faults[0]
     terminal.print_progress("measuring the link and the unit")
     built = build_twin(fitted.boards, fitted.fits)
     written = write_twin(out, built)
     terminal.print_result(f"{twin_summary(built)}\n  rig file              {written}")
-    for failure in failed:
-        terminal.print_error(f"{failure['board'] or failure['recording']}: {failure['error']}")
-    code = exit_code(fitted, failed)
+    failures.report(terminal, has_results=True)
+    code = exit_code(fitted, failures.rows)
     terminal.print_json(
         {
             "file": str(written),
             "twin": twin_to_plain(built.twin),
             "defaults": undetermined_values(built.twin),
             "warnings": twin_warnings(built),
-            "failed": failed,
+            "failed": failures.rows,
             "exit_code": code,
         }
     )
