@@ -17,12 +17,7 @@ from gyrorig_solver.apply.corrected_table import (
     apply_to_table,
 )
 from gyrorig_solver.apply.correction import LAG_NOTE
-from gyrorig_solver.commands.terminal import (
-    SuggestingChoice,
-    Terminal,
-    json_option,
-    output_option,
-)
+from gyrorig_solver.commands.terminal import Terminal, choice_option, json_option, output_option
 from gyrorig_solver.data.text_table import check_text_table
 
 _RECORDING_SUFFIXES = (".mcap", ".part")
@@ -35,12 +30,8 @@ _RECORDING_SUFFIXES = (".mcap", ".part")
 @click.option(
     "--board", help="For a recording: board to correct.  [default: the board of the calibration]"
 )
-@click.option(
-    "--frame",
-    type=SuggestingChoice(FRAMES),
-    default="stage",
-    show_default=True,
-    help="Axes of the corrected rates: stage, or sensor (orthogonalised).",
+@choice_option(
+    "--frame", FRAMES, "stage", "Axes of the corrected rates: stage, or sensor (orthogonalised)."
 )
 @click.option(
     "--bias-only", is_flag=True, help="Subtract the bias only; keep the nominal scale factor."
@@ -48,13 +39,7 @@ _RECORDING_SUFFIXES = (".mcap", ".part")
 @click.option(
     "--columns", metavar="X,Y,Z", help="For a table: the three gyro columns, in sensor axes."
 )
-@click.option(
-    "--unit",
-    type=SuggestingChoice(READING_UNITS),
-    default="counts",
-    show_default=True,
-    help="For a table: unit of --columns.",
-)
+@choice_option("--unit", READING_UNITS, "counts", "For a table: unit of --columns.")
 @click.option(
     "--temperature", metavar="COLUMN", help="For a table: column of the board temperature, degC."
 )
@@ -63,13 +48,7 @@ _RECORDING_SUFFIXES = (".mcap", ".part")
     metavar="COLUMN",
     help="For a table: column of the sample times; the output has the motion times, in s.",
 )
-@click.option(
-    "--time-unit",
-    type=SuggestingChoice(tuple(TIME_UNITS_S)),
-    default="s",
-    show_default=True,
-    help="For a table: unit of --time.",
-)
+@choice_option("--time-unit", tuple(TIME_UNITS_S), "s", "For a table: unit of --time.")
 @json_option
 @click.pass_obj
 def apply_command(

@@ -14,6 +14,7 @@ from gyrorig_solver.commands.terminal import (
     PARTIAL,
     SuggestingChoice,
     Terminal,
+    choice_option,
     json_option,
     version_text,
 )
@@ -79,12 +80,11 @@ _UNPROTECTED_SCHEDULER = (
     metavar="K/N",
     help="Do only part K of N of the work, K from 1 to N.  [default: all work]",
 )
-@click.option(
+@choice_option(
     "--extend",
-    type=SuggestingChoice(["none", "auto"]),
-    default=AUTO,
-    show_default=True,
-    help="auto: search each recording for causes, and fit the causes that are found; "
+    ["none", "auto"],
+    AUTO,
+    "auto: search each recording for causes, and fit the causes that are found; "
     "none: only test for causes.",
 )
 @click.option(

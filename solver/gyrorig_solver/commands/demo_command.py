@@ -37,7 +37,7 @@ from gyrorig_solver.commands.compare_command import (
 )
 from gyrorig_solver.commands.daemon_commands import daemon_command
 from gyrorig_solver.commands.project_files import project_file
-from gyrorig_solver.commands.terminal import NOT_IDENTIFIABLE, Terminal, json_option
+from gyrorig_solver.commands.terminal import NOT_IDENTIFIABLE, Terminal, folder_option, json_option
 from gyrorig_solver.findings import findings_summary
 from gyrorig_solver.pipeline import (
     StoredResult,
@@ -55,13 +55,7 @@ class DaemonFailedError(GyrorigError):
 
 
 @click.command("demo")
-@click.option(
-    "--out",
-    type=click.Path(path_type=Path, file_okay=False),
-    default=Path("demo"),
-    show_default=True,
-    help="Folder for the recording, the calibration, the report and the true values.",
-)
+@folder_option("demo", "Folder for the recording, the calibration, the report and the true values.")
 @click.option(
     "--seed",
     type=click.IntRange(min=0),

@@ -15,6 +15,7 @@ from gyrorig_solver.commands.terminal import (
     PARTIAL,
     Terminal,
     contradiction_option,
+    folder_option,
     json_option,
 )
 from gyrorig_solver.findings import FindingsDocument, findings_summary, next_experiment_lines
@@ -28,12 +29,9 @@ from gyrorig_solver.plan import MAX_PROGRAM_S, load_rig, require_new_path
 @click.command("explain")
 @click.argument("recordings", nargs=-1, required=True, type=click.Path(path_type=Path))
 @click.option("--board", help="Only this board.  [default: every board in the recordings]")
-@click.option(
-    "--out",
-    type=click.Path(path_type=Path, file_okay=False),
-    default=Path("findings"),
-    show_default=True,
-    help="The folder: OUT/<board>/findings.yaml, report.html and figures; earlier findings are "
+@folder_option(
+    "findings",
+    "The folder: OUT/<board>/findings.yaml, report.html and figures; earlier findings are "
     "kept as findings-0001.yaml.",
 )
 @click.option(

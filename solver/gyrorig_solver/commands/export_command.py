@@ -9,6 +9,7 @@ from gyrorig_solver.apply import FRAMES, Frame, read_calibration
 from gyrorig_solver.commands.terminal import (
     SuggestingChoice,
     Terminal,
+    choice_option,
     json_option,
     output_option,
 )
@@ -22,12 +23,8 @@ from gyrorig_solver.storage import write_file
     "--format", "kind", type=SuggestingChoice(FORMATS), required=True, help="Format of the output."
 )
 @output_option("File to write; it must not exist.  [default: standard output]")
-@click.option(
-    "--frame",
-    type=SuggestingChoice(FRAMES),
-    default="stage",
-    show_default=True,
-    help="Axes of the corrected rates: stage, or sensor (orthogonalised).",
+@choice_option(
+    "--frame", FRAMES, "stage", "Axes of the corrected rates: stage, or sensor (orthogonalised)."
 )
 @click.option(
     "--name",

@@ -18,8 +18,8 @@ from gyrorig_solver.calibration.unit_document import posterior_of
 from gyrorig_solver.commands.project_files import project_names
 from gyrorig_solver.commands.terminal import (
     NOT_IDENTIFIABLE,
-    SuggestingChoice,
     Terminal,
+    choice_option,
     json_option,
     output_option,
 )
@@ -85,31 +85,25 @@ PROGRAM_HINT = "a program with --program, such as config/programs/quick.yaml"
         "another one.  [default: none]"
     ),
 )
-@click.option(
+@choice_option(
     "--criterion",
-    type=SuggestingChoice(CRITERIA),
-    default="worst",
-    show_default=True,
-    help="The total standard uncertainty to minimise: of the gain's nine entries, or of its "
-    "factors.",
+    CRITERIA,
+    "worst",
+    "The total standard uncertainty to minimise: of the gain's nine entries, or of its factors.",
 )
-@click.option(
+@choice_option(
     "--for",
+    AIMS,
+    "calibration",
+    "Search for the smallest uncertainties, or for the best separation of causes.",
     "aim",
-    type=SuggestingChoice(AIMS),
-    default="calibration",
-    show_default=True,
-    help="Search for the smallest uncertainties, or for the best separation of causes.",
 )
-@click.option(
+@choice_option(
     "--minimise",
-    type=SuggestingChoice(["total", "noise"]),
-    default="total",
-    show_default=True,
-    help=(
-        "total: uncertainty from noise and from causes that the program does not determine; "
-        "noise: from noise only."
-    ),
+    ["total", "noise"],
+    "total",
+    "total: uncertainty from noise and from causes that the program does not determine; "
+    "noise: from noise only.",
 )
 @click.option(
     "--uncertainty",

@@ -18,10 +18,11 @@ from gyrorig_solver.commands.input_failures import InputFailures, read_with_boar
 from gyrorig_solver.commands.terminal import (
     NOT_IDENTIFIABLE,
     PARTIAL,
-    SuggestingChoice,
     Terminal,
     board_option,
+    choice_option,
     contradiction_option,
+    folder_option,
     json_option,
 )
 from gyrorig_solver.commands.unit_prior_option import read_unit_knowledge, unit_prior_option
@@ -41,12 +42,11 @@ from gyrorig_solver.uncertainty import UncertaintySettings, read_settings
 @click.command("solve")
 @click.argument("recordings", nargs=-1, required=True, type=click.Path(path_type=Path))
 @board_option
-@click.option(
+@choice_option(
     "--method",
-    type=SuggestingChoice(["likelihood", "paper"]),
-    default="likelihood",
-    show_default=True,
-    help="likelihood: maximum likelihood; paper: equations 6 to 12 as printed, for comparison.",
+    ["likelihood", "paper"],
+    "likelihood",
+    "likelihood: maximum likelihood; paper: equations 6 to 12 as printed, for comparison.",
 )
 @click.option(
     "--extend",
@@ -56,12 +56,8 @@ from gyrorig_solver.uncertainty import UncertaintySettings, read_settings
     help="Causes to fit in addition to the base model: auto for those that a search finds in the "
     "recordings, names such as thermal_bias, or none. Tests of all other causes always run.",
 )
-@click.option(
-    "--out",
-    type=click.Path(path_type=Path, file_okay=False),
-    default=Path("calibrations"),
-    show_default=True,
-    help="Folder for the results: OUT/<board>/v0001.yaml and v0001.report.html.",
+@folder_option(
+    "calibrations", "Folder for the results: OUT/<board>/v0001.yaml and v0001.report.html."
 )
 @click.option(
     "--uncertainty",

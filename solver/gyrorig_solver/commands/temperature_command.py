@@ -15,7 +15,7 @@ from gyrorig_solver.calibration import (
 )
 from gyrorig_solver.calibration.calibration_document import calibration_as_yaml
 from gyrorig_solver.calibration.calibration_summary import calibration_summary
-from gyrorig_solver.commands.terminal import SuggestingChoice, Terminal, json_option
+from gyrorig_solver.commands.terminal import Terminal, choice_option, folder_option, json_option
 from gyrorig_solver.pipeline.temperature_values import (
     UNITS,
     document_without_motion,
@@ -31,25 +31,13 @@ from gyrorig_solver.report import ReportData, render_calibration
 @click.option(
     "--sensor", default="unknown", help="Only if there is no calibration: type of the sensor."
 )
-@click.option(
-    "--unit",
-    type=SuggestingChoice(tuple(UNITS)),
-    default="deg/s",
-    show_default=True,
-    help="Unit of the bias in tables.",
-)
+@choice_option("--unit", tuple(UNITS), "deg/s", "Unit of the bias in tables.")
 @click.option(
     "--calibration",
     type=click.Path(path_type=Path, dir_okay=False),
     help="Calibration whose gain is kept.  [default: the last one in VALUES]",
 )
-@click.option(
-    "--out",
-    type=click.Path(path_type=Path, file_okay=False),
-    default=Path("calibrations"),
-    show_default=True,
-    help="Folder for the result, as of `gyrorig solve`.",
-)
+@folder_option("calibrations", "Folder for the result, as of `gyrorig solve`.")
 @json_option
 @click.pass_obj
 def temperature_command(

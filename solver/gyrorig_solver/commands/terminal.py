@@ -223,6 +223,30 @@ def output_option(text: str, *, required: bool = False) -> Callable[[Command], C
     )
 
 
+def folder_option(default: str, text: str) -> Callable[[Command], Command]:
+    """Give a command the option `--out FOLDER`, as parameter `out`."""
+    return click.option(
+        "--out",
+        type=click.Path(path_type=Path, file_okay=False),
+        default=Path(default),
+        show_default=True,
+        help=text,
+    )
+
+
+def choice_option(
+    option: str, choices: Sequence[str], default: str, text: str, parameter: str | None = None
+) -> Callable[[Command], Command]:
+    """Give a command an option with some words, as `parameter`, or named as the option."""
+    return click.option(
+        *(option, parameter or option.strip("-").replace("-", "_")),
+        type=SuggestingChoice(choices),
+        default=default,
+        show_default=True,
+        help=text,
+    )
+
+
 def board_option(command: Command) -> Command:
     """Give a command the option `--board`."""
     return click.option(

@@ -11,6 +11,7 @@ from gyrorig_solver.commands.terminal import (
     PARTIAL,
     Terminal,
     board_option,
+    folder_option,
     json_option,
 )
 from gyrorig_solver.model import group_of
@@ -29,13 +30,7 @@ from gyrorig_solver.twin import (
 @click.command("twin")
 @click.argument("recordings", nargs=-1, required=True, type=click.Path(path_type=Path))
 @board_option
-@click.option(
-    "--out",
-    type=click.Path(path_type=Path, file_okay=False),
-    default=Path("twin"),
-    show_default=True,
-    help="The folder: OUT/twin.yaml; an earlier twin is kept as twin-0001.yaml.",
-)
+@folder_option("twin", "The folder: OUT/twin.yaml; an earlier twin is kept as twin-0001.yaml.")
 @json_option
 @click.pass_obj
 def twin_command(
