@@ -14,7 +14,8 @@ from gyrorig_solver.apply.calibration_file import read_document
 from gyrorig_solver.calibration import CalibrationDocument
 from gyrorig_solver.calibration.calibration_document import SCHEMA
 from gyrorig_solver.check import ParameterComparison, compare_calibrations, compare_with_truth
-from gyrorig_solver.commands.terminal import NOT_IDENTIFIABLE, Terminal, format_table, json_option
+from gyrorig_solver.commands.terminal import NOT_IDENTIFIABLE, Terminal, json_option
+from gyrorig_solver.data.text_table import format_table
 from gyrorig_solver.model import format_quantity
 
 USUAL_SIGMA = 2.0  # standard uncertainties; 95 % of differences are smaller

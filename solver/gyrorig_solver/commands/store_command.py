@@ -18,7 +18,8 @@ from gyrorig_solver.commands.stored_versions import (
     read_version,
     versions_in_time,
 )
-from gyrorig_solver.commands.terminal import Terminal, format_table, json_option
+from gyrorig_solver.commands.terminal import Terminal, json_option
+from gyrorig_solver.data.text_table import format_table
 from gyrorig_solver.fleet.column_units import column_label, column_unit
 from gyrorig_solver.fleet.drift.shrinkage_files import read_shrinkage_estimates
 from gyrorig_solver.fleet.store import open_existing_store, read_signer, rebuild_index, verify

@@ -1,9 +1,9 @@
 """Output of the commands: results, JSON, progress and errors.
 
 What to use when: `Terminal.print_result` for text, `print_json` for the object of `--json`,
-`print_progress` for the name of a step, `show_status` for a count that changes, `format_table`
-for columns, `colour_verdict` for a verdict. Progress goes to standard error. On a terminal every
-command shows its elapsed time after two seconds.
+`print_progress` for the name of a step, `show_status` for a count that changes, `colour_verdict`
+for a verdict. Progress goes to standard error. On a terminal every command shows its elapsed time
+after two seconds.
 """
 
 import json
@@ -12,7 +12,7 @@ import shutil
 import sys
 import threading
 import time
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from importlib.metadata import version
@@ -168,21 +168,6 @@ def colour_verdict(text: str, verdict: str) -> str:
     if colour is None or not sys.stdout.isatty() or os.environ.get("NO_COLOR"):
         return text
     return click.style(text, fg=colour, bold=True)
-
-
-def format_table(rows: Sequence[Sequence[str]], right: Collection[int] = ()) -> list[str]:
-    """Return rows as lines with aligned columns.
-
-    The columns with the numbers in `right` are aligned at the right.
-    """
-    widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
-    return [
-        "  ".join(
-            text.rjust(width) if column in right else text.ljust(width)
-            for column, (text, width) in enumerate(zip(row, widths, strict=True))
-        ).rstrip()
-        for row in rows
-    ]
 
 
 class SuggestingChoice(click.Choice):  # type: ignore[type-arg] # a generic class from click 8.2

@@ -1,5 +1,6 @@
-"""Check that a file can be a text table, before it is read as one."""
+"""Text tables: a check of a file before it is read as one, and aligned columns to print."""
 
+from collections.abc import Collection, Sequence
 from pathlib import Path
 
 from gyrorig_protocol.errors import InputError
@@ -26,3 +27,18 @@ def check_text_table(path: Path) -> None:
         raise InputError(
             f"the file {path.name} is {kind}, not a text table", "give a text table (CSV)"
         )
+
+
+def format_table(rows: Sequence[Sequence[str]], right: Collection[int] = ()) -> list[str]:
+    """Return rows as lines with aligned columns.
+
+    The columns with the numbers in `right` are aligned at the right.
+    """
+    widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
+    return [
+        "  ".join(
+            text.rjust(width) if column in right else text.ljust(width)
+            for column, (text, width) in enumerate(zip(row, widths, strict=True))
+        ).rstrip()
+        for row in rows
+    ]

@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from itertools import groupby
 from typing import Any
 
+from gyrorig_solver.data.text_table import format_table
 from gyrorig_solver.model import cause_display_unit, plural
 from gyrorig_solver.plan.detectability import (
     CauseDetectability,
@@ -16,29 +17,13 @@ from gyrorig_solver.plan.detectability import (
     DetectabilityReport,
 )
 
-HEADER: tuple[str, ...] = (
-    "cause",
-    "detectable",
-    "typical",
-    "unit",
-    "absorbed",
-    "bias, sigma",
-    "of",
-)
+HEADER = ("cause", "detectable", "typical", "unit", "absorbed", "bias, sigma", "of")
 
 
 def causes_table(report: DetectabilityReport) -> str:
     """Return the testable causes, the largest parameter bias first."""
     rows = [HEADER, *(_row(group) for _, group in _group_by_cause(report))]
-    width = [max(len(row[k]) for row in rows) for k in range(len(HEADER))]
-    return "\n".join(
-        "  "
-        + "  ".join(
-            cell.rjust(width[k]) if k in (1, 2, 4, 5) else cell.ljust(width[k])
-            for k, cell in enumerate(row)
-        ).rstrip()
-        for row in rows
-    )
+    return "\n".join(f"  {line}" for line in format_table(rows, right=(1, 2, 4, 5)))
 
 
 def causes_summary(report: DetectabilityReport, program: str, causes: int) -> list[str]:

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from gyrorig_solver.data.text_table import format_table
 from gyrorig_solver.model import PARAMETER_GROUPS, parameter_label, plural
 from gyrorig_solver.plan.prediction import CALIBRATION_PARAMETERS, Prediction
 from gyrorig_solver.plan.total_prediction import TotalPrediction
@@ -48,20 +49,9 @@ def predictions_table(
         rows.append(["time_offset from the motion alone, ms", *(_number(s) for s in stds_ms)])
         ranks = (f"{p.observability.rank} of {p.observability.of}" for p in predictions)
         rows.append(["observable parameters", *ranks])
-    first = max(len(row[0]) for row in rows)
-    width = [max(len(row[k]) for row in rows if k < len(row)) for k in range(1, len(rows[0]))]
-    right_aligned = len(predictions)
-    return "\n".join(
-        (
-            "  "
-            + row[0].ljust(first)
-            + "".join(
-                "  " + (cell.rjust(width[k]) if k < right_aligned else cell)
-                for k, cell in enumerate(row[1:])
-            )
-        ).rstrip()
-        for row in rows
-    )
+    cells_of_rows = [[*row, *[""] * (len(rows[0]) - len(row))] for row in rows]
+    lines = format_table(cells_of_rows, right=range(1, 1 + len(predictions)))
+    return "\n".join(f"  {line}" for line in lines)
 
 
 def contributions_text(total: TotalPrediction) -> str:

@@ -13,7 +13,7 @@ tilts it does. To separate causes a stay can have several speeds and end at the 
 Every move ends in a short rest.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import NamedTuple
@@ -171,21 +171,13 @@ class ProgramDesign:
 
     def motion_steps(self, waypoints: Sequence[Waypoint], space: MotionSpace) -> Steps:
         """Return moves from the first waypoint through all others, a rest after each."""
-        steps = []
-        for before, target in pairwise(waypoints):
-            pans, tilts = target.pan_deg != before.pan_deg, target.tilt_deg != before.tilt_deg
-            if not pans and not tilts:
-                continue
-            pan_speed = round(self.pan_speed * space.pan_speed_deg_s * target.speed_share, 1)
-            tilt_speed = round(self.tilt_speed * space.tilt_speed_deg_s * target.speed_share, 1)
-            move = Move(
-                pan_deg=target.pan_deg if pans else None,
-                tilt_deg=target.tilt_deg if tilts else None,
-                pan_speed_deg_s=pan_speed if pans else None,
-                tilt_speed_deg_s=tilt_speed if tilts else None,
-            )
-            steps += [Step(move=move), Step(rest=Rest(self.dwell_s))]
-        return tuple(steps)
+        pan_speed = self.pan_speed * space.pan_speed_deg_s
+        tilt_speed = self.tilt_speed * space.tilt_speed_deg_s
+        speeds = (
+            (round(pan_speed * point.speed_share, 1), round(tilt_speed * point.speed_share, 1))
+            for point in waypoints[1:]
+        )
+        return moves_between([waypoint[:2] for waypoint in waypoints], speeds, self.dwell_s)
 
     def lead_steps(self, space: MotionSpace) -> tuple[Steps, Steps]:
         """Return the moves from home to the start and back; pan moves at home's tilt only."""
@@ -236,6 +228,31 @@ class ProgramDesign:
             for k in parts:
                 position = pan * direction * (1.0 - 2.0 * k / self.weave)
                 yield position, (1.0 if k % 2 else -1.0)
+
+
+def moves_between(
+    poses: Sequence[tuple[float, float]], speeds: Iterable[tuple[float, float]], dwell_s: float
+) -> Steps:
+    """Return moves from the first pose through all others, and a rest after each.
+
+    Args:
+        poses: pan and tilt in deg; a pose that repeats the one before it needs no move.
+        speeds: of pan and tilt, to each pose after the first, deg/s.
+        dwell_s: the length of each rest.
+    """
+    steps: list[Step] = []
+    for (before, target), (pan_speed, tilt_speed) in zip(pairwise(poses), speeds, strict=False):
+        pans, tilts = target[0] != before[0], target[1] != before[1]
+        if not pans and not tilts:
+            continue
+        move = Move(
+            pan_deg=target[0] if pans else None,
+            tilt_deg=target[1] if tilts else None,
+            pan_speed_deg_s=pan_speed if pans else None,
+            tilt_speed_deg_s=tilt_speed if tilts else None,
+        )
+        steps += [Step(move=move), Step(rest=Rest(dwell_s))]
+    return tuple(steps)
 
 
 def draw_design(rng: np.random.Generator, once: bool = False) -> ProgramDesign:

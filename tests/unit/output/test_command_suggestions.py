@@ -9,7 +9,8 @@ import pytest
 
 from gyrorig_solver import cli
 from gyrorig_solver.commands import terminal
-from gyrorig_solver.commands.terminal import Terminal, colour_verdict, format_table
+from gyrorig_solver.commands.terminal import Terminal, colour_verdict
+from gyrorig_solver.data.text_table import format_table
 
 Captured = pytest.CaptureFixture[str]
 

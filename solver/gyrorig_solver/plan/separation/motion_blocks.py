@@ -10,9 +10,10 @@ program.
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import repeat
 
-from gyrorig_protocol.program import MotionProgram, Move, PtuSettings, Rest, Step
-from gyrorig_solver.plan.program_family import MotionSpace
+from gyrorig_protocol.program import MotionProgram, PtuSettings, Rest, Step
+from gyrorig_solver.plan.program_family import MotionSpace, moves_between
 
 STATIC_S = 2.0  # at each end of a program
 BLOCK_STATIC_S = 0.3  # at each end of a block that is judged alone: less than a block's own rests
@@ -130,21 +131,12 @@ def _path(
 ) -> tuple[Step, ...]:
     """Return moves from home through some poses and back home, with a rest after each."""
     home = (space.home.pan_deg, space.home.tilt_deg)
-    steps: list[Step] = []
-    at = home
-    for target in (*points, home):
-        pans, tilts = target[0] != at[0], target[1] != at[1]
-        if not pans and not tilts:
-            continue
-        move = Move(
-            pan_deg=round(target[0], 1) if pans else None,
-            tilt_deg=round(target[1], 1) if tilts else None,
-            pan_speed_deg_s=_speed(space.pan_speed_deg_s, speed_share) if pans else None,
-            tilt_speed_deg_s=_speed(space.tilt_speed_deg_s, speed_share) if tilts else None,
-        )
-        steps += [Step(move=move), Step(rest=Rest(dwell_s))]
-        at = target
-    return tuple(steps)
+    speeds = (
+        _speed(space.pan_speed_deg_s, speed_share),
+        _speed(space.tilt_speed_deg_s, speed_share),
+    )
+    poses = [(round(pan, 1), round(tilt, 1)) for pan, tilt in (home, *points, home)]
+    return moves_between(poses, repeat(speeds), dwell_s)
 
 
 def _speed(fastest_deg_s: float, share: float) -> float:
