@@ -3,8 +3,6 @@
 `std` and `covariance` of the document stay type A. The section `uncertainty` beside them has the
 contribution of the causes that were not identified, the total, and where the total comes from.
 
-What to use when: `with_total_uncertainty` for a document and the budget of its fit.
-
 Source: JCGM 100:2008 (GUM), 4.3, 5.1 and 6.2; the budget lists the largest contributions.
 """
 

@@ -1,7 +1,4 @@
-"""Numbers in the metadata of a recording, which are texts of anyone.
-
-What to use when: `positive_number` for each entry of a board.
-"""
+"""Numbers in the metadata of a recording, which are texts of anyone."""
 
 import math
 import re

@@ -4,8 +4,6 @@ Laplace's approximation at a converged fit: the likelihood of the residual and o
 unknowns, at one noise and over the blocks that all models use, times the Occam factor of the
 causes' values. The priors are those of `exact_fit`: Cauchy for sizes, uniform for shapes.
 
-What to use when: `best_model` for the models of one search.
-
 Source: MacKay, Information Theory, Inference, and Learning Algorithms, chapter 28.
 """
 

@@ -4,8 +4,6 @@ The unit's replies follow its true ramps, and the reference fits each axis' acce
 The residual therefore shows nothing. The fitted accelerations are compared with the commanded ones.
 A wrong base speed makes every move shorter. Starts and time offset absorb that, but the replies
 during the ramps show it.
-
-What to use when: `detect_ramp_error` for the last fit of a search.
 """
 
 from dataclasses import dataclass, replace

@@ -1,8 +1,5 @@
 """The fit of gyro gain and bias to gravity between rests: a board turned by hand, without a rig.
 
-What to use when: `fit_gravity` for one board with an accelerometer that was held still in many
-poses and turned between them.
-
 Theory of operation. Over a move, the gyro's integral must carry the direction of gravity from the
 rest before to the rest after: u_1 = R' u_0, R the product of exp(w dt) with w = G^-1 (y - b). Each
 move gives two equations (the rotation about gravity is unobservable), and a dozen moves about

@@ -3,8 +3,6 @@
 The Fisher information of the samples about gain, bias and time offset follows from the reference
 motion and the noise of the sensor, and does not depend on the counts. Its rank test is that of the
 estimator.
-
-What to use when: `predict_observability` for samples and the reference motion on their time axis.
 """
 
 from collections.abc import Mapping

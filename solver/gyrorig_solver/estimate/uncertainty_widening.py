@@ -4,8 +4,6 @@ If the whitened residual in motion is larger than noise explains, the model is i
 uncertainties from noise alone are too small. The covariance is then multiplied by the reduced
 chi-square (Birge ratio). The uncertainty of a common time shift has another origin and is kept.
 
-What to use when: `widen_uncertainty` for the summary of a converged fit.
-
 Source: R. T. Birge, The Calculation of Errors by the Method of Least Squares, Phys. Rev. 40 (1932).
 """
 

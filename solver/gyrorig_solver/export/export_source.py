@@ -1,7 +1,4 @@
-"""The calibration as the input of an export, and the header lines of every export.
-
-What to use when: `ExportSource.of` once per calibration; the format modules take its result.
-"""
+"""The calibration as the input of an export, and the header lines of every export."""
 
 import re
 from collections.abc import Iterable, Sequence

@@ -1,7 +1,5 @@
 """Frames of a Betaflight blackbox log (.bbl, .bfl).
 
-What to use when: `read_blackbox` returns the sessions of a file with the main fields as columns.
-
 Source: Betaflight, "Blackbox internals", and src/main/blackbox/
 blackbox_encoding.c: a session begins with the line `H Product:Blackbox flight data recorder by
 Nicholas Sherwood`; the lines `H Field I name`, `predictor` and `encoding` describe the frames. A

@@ -1,7 +1,5 @@
 """Messages of an ArduPilot DataFlash log (.bin).
 
-What to use when: `read_dataflash` returns the messages of the wanted types as columns.
-
 Source: ArduPilot, libraries/AP_Logger/LogStructure.h: a message begins with the
 bytes 0xA3 0x95 and its type. The type 128 (FMT) describes another type: type, length, name (4
 characters), format (16) and columns (64). The characters of the format are the table of

@@ -1,7 +1,4 @@
-"""The columns of a map, from one file or from several files.
-
-What to use when: `open_map_columns` opens each file once, for the columns that the map needs.
-"""
+"""The columns of a map, from one file or from several files."""
 
 from collections import defaultdict
 from pathlib import Path

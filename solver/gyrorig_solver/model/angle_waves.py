@@ -1,7 +1,4 @@
-"""Periodic functions of the angles of a stage; a fit needs the same ones many times.
-
-What to use when: `AngleWaves.cosine_and_sine` for an error with a period in the angle.
-"""
+"""Periodic functions of the angles of a stage; a fit needs the same ones many times."""
 
 import numpy as np
 

@@ -1,7 +1,4 @@
-"""Facts that stay the same over a recording of one board: site, limits, temperature, motion.
-
-What to use when: `RecordingContext` for causes that need more than the signal itself.
-"""
+"""Facts that stay the same over a recording of one board: site, limits, temperature, motion."""
 
 from dataclasses import dataclass
 

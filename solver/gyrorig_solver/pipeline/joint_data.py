@@ -1,8 +1,6 @@
 """Boards on one pan-tilt unit at the same time: their recordings and samples, loaded once.
 
 Boards on one CAN bus get a common time base.
-
-What to use when: `load_jointly` before boards are explained or fitted together.
 """
 
 from collections.abc import Collection, Mapping, Sequence

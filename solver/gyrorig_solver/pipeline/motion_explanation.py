@@ -1,7 +1,4 @@
-"""The findings of a fit to a motion whose rate is known at each moment.
-
-What to use when: `explain_motion` after the search, for one board or for each of several boards.
-"""
+"""The findings of a fit to a motion whose rate is known at each moment."""
 
 from dataclasses import replace
 

@@ -1,7 +1,4 @@
-"""A kind of reference that gives the rate at each moment, so that causes can be searched.
-
-What to use when: subclass `MotionKind`, and give it a reader of the motion.
-"""
+"""A kind of reference that gives the rate at each moment, so that causes can be searched."""
 
 from abc import abstractmethod
 from collections.abc import Sequence

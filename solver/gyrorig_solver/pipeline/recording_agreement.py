@@ -2,8 +2,6 @@
 
 A model of one gain has no causes for two gains. A search would try every cause, take very long,
 and find a wrong one.
-
-What to use when: `require_agreement` before the common fit of several recordings.
 """
 
 from collections.abc import Iterable

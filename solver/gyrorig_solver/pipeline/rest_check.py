@@ -2,8 +2,6 @@
 
 A map or a motion program states the rests, and nothing in the data proves it. A bias from a section
 in which the board moves is wrong without a sign of it: its scatter can be small.
-
-What to use when: `check_rests` for the rests of one recording, before a fit uses them.
 """
 
 from collections.abc import Sequence

@@ -1,7 +1,4 @@
-"""Information of a simulated motion on any effects, with the fitted parameters eliminated.
-
-What to use when: `EffectInformation.reduce` with the effects of causes at the motion's states.
-"""
+"""Information of a simulated motion on any effects, with the fitted parameters eliminated."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -6,8 +6,6 @@ its frame, and a smooth clock over the frame numbers gives its time: for stamps 
 delay that is never negative, the lower envelope of the stamps, else their mean. How smooth that
 clock is, and whether the frames are regular at all, the stamps alone do not say. The fit to the
 gyro decides between the candidates (`estimate.attitude`).
-
-What to use when: `read_stamps` for the candidates of a row of stamps.
 """
 
 from dataclasses import dataclass

@@ -12,8 +12,6 @@ exclude has a large F and adds next to nothing; one that they cannot show has F 
 prior. The fit that left c out is off by A' m on average. Its mean squared error given the data is
 therefore C_p + A' C A + (A' m)(A' m)': a correction that is known and not applied adds its square.
 
-What to use when: `MarginalCauses.of` for any number of causes at once.
-
 Sources: JCGM 100:2008, 4.3 and F.2.4.5; Schmidt, Advances in Control Systems 3 (1966) 293.
 """
 

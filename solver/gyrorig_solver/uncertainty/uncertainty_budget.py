@@ -1,7 +1,4 @@
-"""The uncertainty budget of a fit: what the causes that it has not identified may add.
-
-What to use when: `assess_uncertainty` at any fit to a pan-tilt unit.
-"""
+"""The uncertainty budget of a fit: what the causes that it has not identified may add."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

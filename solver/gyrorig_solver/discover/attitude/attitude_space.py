@@ -3,8 +3,6 @@
 Here the reference is the noisy side, and nobody knows its noise. Two rules follow. Scores are
 judged by how much they vary from one stretch of time to the next. A cause gets no name if it does
 not improve the prediction of held-out windows.
-
-What to use when: `fit_attitude_space` for the base model of some recordings.
 """
 
 from collections.abc import Sequence

@@ -1,7 +1,4 @@
-"""Explain the residual of a fit to reference attitudes by causes.
-
-What to use when: `explain_attitudes` from recordings.
-"""
+"""Explain the residual of a fit to reference attitudes by causes."""
 
 import time
 from collections.abc import Sequence

@@ -1,7 +1,4 @@
-"""The state of the search in one of several boards on one unit.
-
-What to use when: `BoardSearch` for the fit of a board, its causes and their rankings.
-"""
+"""The state of the search in one of several boards on one unit."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

@@ -3,8 +3,6 @@
 A cause that changes the motion law shows in the samples of every board and in the position replies,
 which all boards share. The joint fit counts the replies once. Each board then has the law with a
 prior from the joint fit, so that a fit of this board alone ends at the common law.
-
-What to use when: `fit_common_law` for a cause that at least one board shows.
 """
 
 from collections.abc import Mapping

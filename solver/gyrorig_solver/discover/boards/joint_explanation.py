@@ -6,8 +6,6 @@ with a cause of the unit, is then tested on all boards: one common size, or sepa
 boards (`joint_projector.prior_from_others`), which equals the joint fit. Finally causes that no
 board shows alone are searched in all boards together. A cause of the motion law that a board shows
 is fitted to all boards and to the position replies, which they share (`common_law`).
-
-What to use when: `explain_jointly` from a fit of the base model to each board.
 """
 
 import time

@@ -3,8 +3,6 @@
 The stamps leave several candidates for the times (`reference.attitude_stamps`). Each is fitted
 to the gyro, and the one with the least residual is used. Then outliers and swapped markers are
 removed, and the drift between the clocks of reference and gyro is corrected.
-
-What to use when: `resolve_times` for each recording before the fit.
 """
 
 from dataclasses import dataclass, replace

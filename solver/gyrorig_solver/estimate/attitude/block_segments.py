@@ -1,7 +1,4 @@
-"""Segments of a fit to reference attitudes as block means, with their signal states.
-
-What to use when: `build_block_segments` at a fit.
-"""
+"""Segments of a fit to reference attitudes as block means, with their signal states."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

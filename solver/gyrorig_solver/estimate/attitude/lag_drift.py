@@ -4,8 +4,6 @@ A clock that is fast or slow, or that is set now and then, changes the time offs
 recording. The residual of a fit with one time offset shows it: the residual of each second,
 compared with the change of the rate, gives the error of the time offset in that second. A line
 (skew) with steps is fitted to these errors.
-
-What to use when: `estimate_drift` for the correction of the reference's times.
 """
 
 from dataclasses import dataclass

@@ -2,8 +2,6 @@
 
 The density of the noise is a smooth model times correction factors in bins, both from the residual.
 The noise of a camera grows with the motion, so that the local scatter weights each moment.
-
-What to use when: `build_whiteners` for the segments of a fit.
 """
 
 from collections.abc import Sequence

@@ -1,7 +1,4 @@
-"""Changes of the bias in time: how much it moved during recordings at rest.
-
-What to use when: `measure_bias_change` for windows of the bias, with or without a thermometer.
-"""
+"""Changes of the bias in time: how much it moved during recordings at rest."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

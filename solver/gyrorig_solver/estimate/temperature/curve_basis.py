@@ -1,7 +1,4 @@
-"""Bases of the curve of a bias against the temperature: polynomials and cubic splines.
-
-What to use when: `candidate_bases` for the curves that are compared, in the order of complexity.
-"""
+"""Bases of the curve of a bias against the temperature: polynomials and cubic splines."""
 
 from dataclasses import dataclass
 

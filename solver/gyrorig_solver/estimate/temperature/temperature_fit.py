@@ -1,7 +1,5 @@
 """The curve of the bias against the temperature, with its order, the lag of the die and hysteresis.
 
-What to use when: `fit_temperature` for recordings at rest and for tables.
-
 Theory of operation. The bias of window k is c + f(T_die) + a h, where h is the state of a
 hysteresis between its branches (`bias_series.heating_state`), and T_die follows the thermometer
 with a lag (`model.board_temperature`). The noise is white noise, flicker and a random walk whose

@@ -4,8 +4,6 @@ The separation of each pair of causes by each block of motion is computed once. 
 one after the other by what they add per second, until each pair is separated with enough
 probability or the time is used up. The chosen program is then judged as a whole.
 
-What to use when: `propose_program` with the result of a search.
-
 Source: T-optimal design; Atkinson and Fedorov, Biometrika 62 (1975) 57.
 """
 
