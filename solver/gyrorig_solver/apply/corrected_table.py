@@ -178,7 +178,6 @@ class _TableWriter:
         return np.asarray(np.isfinite(values[:, 3]) & ~covered, dtype=np.bool_)
 
     def _column_indices(self, names: Sequence[str]) -> list[int]:
-        """Return the indices of the columns to read."""
         for name in self._columns.names:
             if name not in names:
                 column_names = ", ".join(n[:40] for n in names[:12]) or "nothing"

@@ -169,7 +169,6 @@ def _interpolated_angles(
 
 
 def _static_samples(recording: Recording, samples: GyroSamples) -> BoolArray:
-    """Return which samples are in a phase `static`."""
     is_static = np.zeros(samples.time_s.size, dtype=np.bool_)
     begin_s: float | None = None
     for event in recording.events():

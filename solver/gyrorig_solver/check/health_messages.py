@@ -7,7 +7,7 @@ Every problem has the form "What is wrong. What to do."
 from collections.abc import Iterator
 
 from gyrorig_protocol.errors import sentence
-from gyrorig_protocol.recording.mcap.losses import Loss, LossCause
+from gyrorig_protocol.recording.mcap.losses import LossCause
 from gyrorig_solver.calibration.calibration_wording import collapse_groups
 from gyrorig_solver.check.recording_health import BoardHealth, RecordingHealth
 
@@ -55,13 +55,8 @@ def health_problems(health: RecordingHealth) -> tuple[str, ...]:
     return (*_quality_messages(health), *_capability_messages(health))
 
 
-def _loss_message(loss: Loss) -> str:
-    return f"{loss.text}. {_LOSS_REMEDIES[loss.cause]}"
-
-
 def _quality_messages(health: RecordingHealth) -> Iterator[str]:
-    """Yield defects of the recording."""
-    yield from (_loss_message(loss) for loss in health.losses)
+    yield from (f"{loss.text}. {_LOSS_REMEDIES[loss.cause]}" for loss in health.losses)
     for topic, count in health.dropped.items():
         yield (
             f"the daemon dropped {count} messages of {topic}, because its disk was full or too "

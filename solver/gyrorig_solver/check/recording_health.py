@@ -92,19 +92,12 @@ def examine_recording(recording: Recording, wanted: tuple[BoardId, ...]) -> Reco
         notes=recording.notes,
         duration_s=(recording.end_ns - recording.start_ns) * 1e-9,
         topics={name: len(topic) for name, topic in sorted(recording.topics.items())},
-        dropped=_dropped_messages(recording),
+        dropped={name: t.missing_count for name, t in recording.topics.items() if t.missing_count},
         phases=dict(Counter(e.phase for e in events if e.kind == EventKind.PHASE_BEGIN)),
         faults=tuple(e.text for e in events if e.kind == EventKind.FAULT),
         unit=_unit_health(recording),
         boards=tuple(_board_health(recording, board) for board in wanted),
     )
-
-
-def _dropped_messages(recording: Recording) -> dict[str, int]:
-    """Return the missing messages of each array topic, by the daemon's count."""
-    return {
-        name: topic.missing_count for name, topic in recording.topics.items() if topic.missing_count
-    }
 
 
 def _unit_health(recording: Recording) -> UnitHealth | None:

@@ -8,7 +8,6 @@ import contextlib
 import json
 import subprocess
 import sys
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -129,7 +128,7 @@ def demo_command(
             stored,
             compare_with_truth(stored.calibration, truth),
             findings,
-            _score_findings(findings, truth),
+            [] if findings is None else score_causes(findings.document, truth),
         )
         for stored, findings in zip(solved, written, strict=True)
     ]
@@ -185,10 +184,6 @@ def _explain_board(
     written = write_explanation(out / "findings", explanation)
     terminal.print_result(_indent(findings_summary(written.document)))
     return written
-
-
-def _score_findings(written: WrittenFindings | None, truth: Mapping[str, Any]) -> list[ScoredCause]:
-    return [] if written is None else score_causes(written.document, truth)
 
 
 def _record_session(

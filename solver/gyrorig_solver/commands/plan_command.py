@@ -167,7 +167,9 @@ def plan_command(terminal: Terminal, /, **options: Any) -> int:
     given_prediction: Prediction | None = None
     if options["program_path"] is not None:
         terminal.print_progress("predicting the given program")
-        given_prediction = predict_program(_read_program(options["program_path"]), rig.unit, sensor)
+        path = options["program_path"]
+        program = parse_program(_read_file(path, PROGRAM_HINT), path.name)
+        given_prediction = predict_program(program, rig.unit, sensor)
     elif seconds is None:
         seconds = 75.0
     plan_result: PlanResult | None = None
@@ -278,10 +280,6 @@ def _sensor_profile(name: str) -> SensorProfile:
             f"{suggestion} Give the name of a profile, or a file, with --sensor".strip(),
         )
     return profile
-
-
-def _read_program(path: Path) -> MotionProgram:
-    return parse_program(_read_file(path, PROGRAM_HINT), path.name)
 
 
 def _read_file(path: Path, wanted: str) -> bytes:

@@ -320,7 +320,6 @@ def _version_text(calibration: CalibrationDocument) -> str:
 
 
 def _difference_with_unit(row: dict[str, Any]) -> dict[str, Any]:
-    """Return a difference in the unit that is shown to people."""
     factor, unit = column_unit(row["parameter"])
     values = {name: factor * row[name] for name in ("before", "after", "change")}
     return {

@@ -240,7 +240,6 @@ def _map_board_clock(
 
 
 def _read_pings(recording: Recording, board: str, origin_ns: int) -> PingExchanges | None:
-    """Return the pings of the board, None without pings."""
     raw = recording.clock_pings(BoardId(board))
     if not raw.size:
         return None
@@ -308,7 +307,6 @@ def _usable_samples(raw: ImuColumns) -> BoolArray:
 
 
 def _count_status(status: CounterArray, bit: int) -> int:
-    """Return the number of samples with a status bit."""
     pieces = (
         status[start : start + PIECE_SAMPLES] for start in range(0, status.size, PIECE_SAMPLES)
     )

@@ -72,8 +72,6 @@ def search_causes(base: Space) -> SearchResult[Space]:
 
 
 class _Search(Generic[Space]):
-    """The state of a search."""
-
     def __init__(self, base: Space) -> None:
         """Start from a fit of the base model."""
         self._known_terms = tuple(

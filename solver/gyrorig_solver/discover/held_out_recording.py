@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gyrorig_solver.data import FloatArray, IntArray
+from gyrorig_solver.data import FloatArray
 from gyrorig_solver.estimate import (
     BASE_PARAMETERS,
     GAIN_PARAMETERS,
@@ -94,14 +94,14 @@ class HeldOutRecording:
         for extension in solution.fitted_terms:
             persists = extension.term.kind == "known" or extension.term.scope != "recording"
             if persists and extension.term.reason_not_testable(scene) is None:
-                applicable.append(replace(extension, free_indices=_none(), other_boards_prior=None))
+                applicable.append(
+                    replace(
+                        extension, free_indices=np.zeros(0, dtype=np.int64), other_boards_prior=None
+                    )
+                )
             else:
                 left_out.append(extension)
         return tuple(applicable), tuple(left_out)
-
-
-def _none() -> IntArray:
-    return np.zeros(0, dtype=np.int64)
 
 
 def _fit_nuisances(session: SessionFit, gain: FloatArray, noise: NoiseModel | None) -> NoiseModel:

@@ -19,7 +19,6 @@ from gyrorig_solver.estimate.observability import (
 )
 from gyrorig_solver.estimate.parameter_layout import (
     GAIN_PARAMETERS,
-    ParameterLayout,
     eliminate_parameters,
 )
 from gyrorig_solver.estimate.trust_region import Convergence
@@ -57,7 +56,7 @@ def summarize_board(
     last = len(analyses) - 1
     last_with_offset = _last_with_offset(analyses)
     return ConvergedFit(
-        names=(*PARAMETER_NAMES, *_term_names(layout)),
+        names=(*PARAMETER_NAMES, *(n for b in layout.term_blocks() for n in b.parameter_names)),
         prior_std=unit_std,
         estimate=np.concatenate(
             [
@@ -82,10 +81,6 @@ def summarize_board(
         outliers=sum(session.outliers for session in board.sessions),
         convergence=convergence,
     )
-
-
-def _term_names(layout: ParameterLayout) -> tuple[str, ...]:
-    return tuple(name for block in layout.term_blocks() for name in block.parameter_names)
 
 
 def _last_with_offset(analyses: Sequence[ObservabilityAnalysis]) -> int:

@@ -236,7 +236,6 @@ class LikelihoodFit:
         return [self.layout.index(recording, board) for board in range(len(self.boards))]
 
     def _recording_equations(self) -> list[RecordingEquations]:
-        """Return each recording's equations of all boards."""
         counts = [board.parameter_count for board in self.boards]
         # The replies count once, with the first board.
         columns = law_columns(self.boards[0].fitted_terms, BASE_PARAMETERS)

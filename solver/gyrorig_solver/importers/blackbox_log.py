@@ -37,8 +37,6 @@ class BlackboxSession:
 
 @dataclass(slots=True)
 class _FrameFields:
-    """The fields of one kind of frame."""
-
     names: list[str] = field(default_factory=list)
     signed: list[int] = field(default_factory=list)
     predictors: list[int] = field(default_factory=list)
@@ -75,8 +73,6 @@ def read_blackbox(path: Path) -> list[BlackboxSession]:
 
 
 class _SessionReader:
-    """Reads one session of a file."""
-
     def __init__(self, data: bytes, begin: int, end: int, name: str) -> None:
         self._data, self._at, self._end, self._name = data, begin, end, name
         self._headers: dict[str, str] = {}
@@ -161,7 +157,6 @@ class _SessionReader:
         return row
 
     def _predict(self, predictor: int, index: int, row: list[int]) -> int:
-        """Return the prediction of a field."""
         if predictor in (1, 2, 3, 6):
             last = (self._previous or row)[index]
             before = self._before[index]

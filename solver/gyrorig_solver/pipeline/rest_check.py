@@ -122,7 +122,6 @@ def _evidence_of_force(force: FloatArray | None) -> str:
 
 
 def _find_motion(windows: _Windows, profile: SensorProfile | None) -> BoolArray:
-    """Return which windows have motion."""
     quiet = float(np.percentile(windows.scatter_rad_s, 10.0))
     noise = min(quiet, MAX_NOISE_RAD_S)
     if profile is not None and profile.noise_density_dps_rthz is not None:

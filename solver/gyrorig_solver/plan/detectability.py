@@ -253,7 +253,6 @@ def _largest_size(template: ScanTemplate, place: str | None) -> float:
 
 
 def _summarize_place(templates: Sequence[_TemplateDetectability]) -> CauseDetectability:
-    """Summarize all templates at one place of a cause."""
     is_scanned = templates[0].template.size > 0.0
     chosen = _just_detectable_template(templates) if is_scanned else _median_template(templates)
     place, template = chosen.place, chosen.template

@@ -129,7 +129,12 @@ def find_program(
 
     best = judge(screen.best_kinds(PREDICTED_KINDS), "kind")
     best = judge(
-        [d for d in _neighbours(best) if _differs_in(d, best, REFINED_FIELDS)], "neighbour"
+        [
+            d
+            for d in _neighbours(best)
+            if any(getattr(d, name) != getattr(best, name) for name in REFINED_FIELDS)
+        ],
+        "neighbour",
     )
     return results[best]
 
@@ -215,10 +220,6 @@ def _neighbours(design: ProgramDesign) -> Iterator[ProgramDesign]:
         for choice in choices:
             if choice != getattr(design, name):
                 yield replace(design, **{name: choice})  # type: ignore[arg-type] # as in drawn
-
-
-def _differs_in(design: ProgramDesign, other: ProgramDesign, names: tuple[str, ...]) -> bool:
-    return any(getattr(design, name) != getattr(other, name) for name in names)
 
 
 def _too_short(screen: WhiteNoiseScreen, duration_s: float) -> UsageError:

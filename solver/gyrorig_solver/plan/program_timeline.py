@@ -89,8 +89,6 @@ def simulate_program(
 
 @dataclass(slots=True)
 class _ProgramRun:
-    """The state of a simulated run."""
-
     program: MotionProgram
     unit: UnitModel
     start_steps: tuple[int, int]

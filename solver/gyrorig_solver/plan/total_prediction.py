@@ -100,7 +100,11 @@ def predict_total(
         type_b=type_b,
         posterior_std=_std_of(moved, covariance),
         contributions=tuple(
-            _contribution(name, names == name, moved, added) for name in dict.fromkeys(names)
+            Contribution(
+                str(name),
+                _std_of(moved[:, names == name], added[np.ix_(names == name, names == name)]),
+            )
+            for name in dict.fromkeys(names)
         ),
         decision=decision,
         std={
@@ -159,12 +163,6 @@ def _noise_of_suggestions(
     if prior.unit is not None:
         is_left = np.array(sizes_of_signals(causes)[0]) < 0
     return np.asarray(suggested * np.outer(is_left, is_left), dtype=np.float64)
-
-
-def _contribution(
-    cause: str, group: BoolArray, moved: FloatArray, added: FloatArray
-) -> Contribution:
-    return Contribution(str(cause), _std_of(moved[:, group], added[np.ix_(group, group)]))
 
 
 def _std_of(moved: FloatArray, covariance: FloatArray) -> FloatArray:

@@ -60,7 +60,11 @@ def read_turns(events: Iterable[SessionEvent], origin_ns: int) -> TurnReference:
             open_ns[key] = event.host_time_ns
         elif event.kind == EventKind.PHASE_END:
             # The end of a phase can be without its text.
-            open_key = key if key in open_ns else _open_phase(open_ns, event.phase)
+            open_key = (
+                key
+                if key in open_ns
+                else next((k for k in reversed(open_ns) if k[0] == event.phase), None)
+            )
             if open_key is None:
                 continue
             begin_ns = open_ns.pop(open_key)
@@ -74,10 +78,6 @@ def read_turns(events: Iterable[SessionEvent], origin_ns: int) -> TurnReference:
             else:
                 turns.append(_parse_turn(interval, open_key[1]))
     return TurnReference(tuple(turns), tuple(rests))
-
-
-def _open_phase(open_ns: dict[tuple[str, str], int], phase: str) -> tuple[str, str] | None:
-    return next((key for key in reversed(open_ns) if key[0] == phase), None)
 
 
 def _parse_turn(interval: TimeInterval, text: str) -> KnownTurn:

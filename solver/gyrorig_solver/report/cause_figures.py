@@ -64,9 +64,10 @@ def cause_figure(series: ReportSeries, cause: str, key: str, components: Sequenc
     panel.plot(
         model.centre, model.value, colour=AXIS_COLOURS[axis], linewidth=1.8, label=WITH_CAUSE
     )
-    panel.xlabel = covariate_label(dependence.covariate, motor_axis)
-    panel.ylabel = f"residual {'xyz'[axis]}, {QUANTITY_UNITS[dependence.quantity]}"
-    panel.has_key = True
+    panel.name_axes(
+        covariate_label(dependence.covariate, motor_axis),
+        f"residual {'xyz'[axis]}, {QUANTITY_UNITS[dependence.quantity]}",
+    )
     return figure.svg()
 
 
@@ -178,9 +179,10 @@ def unexplained_figure(series: ReportSeries, signature: str, axis: int | None) -
             label="xyz"[sensor_axis],
         )
     panel.level(0.0, colour=SOFT, linewidth=0.8)
-    panel.xlabel = covariate_label(dependence.covariate, motor_axis)
-    panel.ylabel = f"residual, {QUANTITY_UNITS[dependence.quantity]}"
-    panel.has_key = True
+    panel.name_axes(
+        covariate_label(dependence.covariate, motor_axis),
+        f"residual, {QUANTITY_UNITS[dependence.quantity]}",
+    )
     return figure.svg()
 
 
@@ -221,11 +223,10 @@ def dependence_figures(series: ReportSeries) -> dict[str, str]:
         ("time", BinnedDependence("lag", "time", 16), 0),
         ("temperature", BinnedDependence("mean", "temperature", 12), 0),
     ):
-        axis = (
-            _axis_of_most_motion(series)
-            if dependence.quantity != "mean"
-            else _axis_of_largest_residual(series)
-        )
+        # The axis of most motion, or of the largest residual.
+        is_mean = dependence.quantity == "mean"
+        rate_rad_s = series.base_residual_rad_s if is_mean else series.base_rad_s
+        axis = int(np.argmax(np.nanvar(rate_rad_s, axis=0)))
         before = regress_in_bins(series, series.base_residual_rad_s, dependence, axis, motor_axis)
         after = regress_in_bins(
             series, series.extended_residual_rad_s, dependence, axis, motor_axis
@@ -247,9 +248,10 @@ def dependence_figures(series: ReportSeries) -> dict[str, str]:
                 label=words,
             )
         panel.level(0.0, colour=SOFT, linewidth=0.6)
-        panel.xlabel = covariate_label(dependence.covariate, motor_axis)
-        panel.ylabel = f"residual {'xyz'[axis]}, {QUANTITY_UNITS[dependence.quantity]}"
-        panel.has_key = True
+        panel.name_axes(
+            covariate_label(dependence.covariate, motor_axis),
+            f"residual {'xyz'[axis]}, {QUANTITY_UNITS[dependence.quantity]}",
+        )
         figures[name] = figure.svg()
     return figures
 
@@ -269,11 +271,3 @@ def _rows_around_event(series: ReportSeries, change: FloatArray) -> slice:
     event = int(np.argmax(cumulative_power[event_blocks:] - cumulative_power[:-event_blocks]))
     margin = round((CLOSE_UP_S - EVENT_S) / 2.0 / step_s)
     return slice(max(0, event - margin), min(change.size, event + event_blocks + margin))
-
-
-def _axis_of_most_motion(series: ReportSeries) -> int:
-    return int(np.argmax(np.nanvar(series.base_rad_s, axis=0)))
-
-
-def _axis_of_largest_residual(series: ReportSeries) -> int:
-    return int(np.argmax(np.nanvar(series.base_residual_rad_s, axis=0)))

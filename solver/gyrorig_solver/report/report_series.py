@@ -69,8 +69,6 @@ class ReportSeries:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _SeriesSegment:
-    """One segment of one recording."""
-
     time_s: FloatArray
     measured: FloatArray
     base: FloatArray

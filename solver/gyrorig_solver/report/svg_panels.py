@@ -250,7 +250,6 @@ def _line_path(x: FloatArray, y: FloatArray) -> str:
 
 
 def _finite_runs(is_finite: FloatArray) -> list[slice]:
-    """Return the runs of finite values."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], is_finite, [False]]).astype(np.int8)))
     return [slice(int(a), int(b)) for a, b in edges.reshape(-1, 2)]
 

@@ -220,7 +220,6 @@ def _fit_common_size(
     matched: CauseByBoard,
     hypotheses: list[ScopeHypothesis],
 ) -> None:
-    """Fit a cause of the unit to all boards at one common size."""
     joint = hypotheses[0].common
     if joint is None:
         return
@@ -252,7 +251,6 @@ def _fit_common_size(
 def _fit_separate_sizes(
     boards: Sequence[BoardSearch], matched: CauseByBoard, hypotheses: list[ScopeHypothesis]
 ) -> None:
-    """Fit each board's own size of a cause."""
     for k, board in enumerate(boards):
         best = hypotheses[0].per_board[k]
         if k not in matched or best is None:

@@ -60,17 +60,13 @@ def _messages(reader: Any, types: set[str]) -> Iterator[RosMessage]:
     with reader:
         types.update(connection.msgtype for connection in reader.connections)
         for connection in reader.connections:
-            type_name = _standard(connection.msgtype)
+            type_name = _ROS1_TYPES.get(connection.msgtype, connection.msgtype)
             if type_name not in READ_TYPES:
                 continue
             # one topic after another: the library unpacks a chunk again when topics alternate
             for _, log_ns, payload in reader.messages(connections=[connection]):
                 message = store.deserialize_ros1(payload, type_name)
                 yield connection.topic, type_name, log_ns, message
-
-
-def _standard(type_name: str) -> str:
-    return _ROS1_TYPES.get(type_name, type_name)
 
 
 FORMAT = Ros1Bag()

@@ -167,11 +167,6 @@ class _Design:
         self._first_order = [FirstOrder(pair, solution) for pair in self._pairs]
         self._space = MotionSpace.of(unit, _fastest_deg_s(solution))
 
-    def _products(self, solution: ConvergedFit) -> tuple[PairProducts, ...]:
-        return tuple(
-            products for group in self._groups for products in pair_products(solution, group)
-        )
-
     def choose(self, acceleration_share: float) -> _Choice:
         """Choose blocks at an acceleration, one after the other, by what they add per second."""
         settings = self._settings(acceleration_share)
@@ -195,7 +190,8 @@ class _Design:
             chosen.append(best)
             left_s, worth = left_s - best.duration_s, worth + added
         blocks = tuple(candidate.block for candidate in chosen)
-        return _Choice(blocks, settings, worth, self._lacks(chosen))
+        is_lacking = any(nats < needed for nats, needed in self._nats_and_needs(chosen))
+        return _Choice(blocks, settings, worth, is_lacking)
 
     def judge(self, choice: _Choice) -> NextExperiment:
         """Return the program of a choice with its exact outlook."""
@@ -224,10 +220,8 @@ class _Design:
         program = program_of_blocks((block,), settings, PROGRAM_NAME, BLOCK_STATIC_S)
         simulated = simulate_recording(self._solution, program, self._unit)
         duration_s = simulate_program(program, self._unit).duration_s - fixed_s
-        return _Candidate(block, duration_s, self._products(simulated))
-
-    def _lacks(self, chosen: Sequence[_Candidate]) -> bool:
-        return any(nats < needed for nats, needed in self._nats_and_needs(chosen))
+        products = [pair for group in self._groups for pair in pair_products(simulated, group)]
+        return _Candidate(block, duration_s, tuple(products))
 
     def _worth(self, chosen: Sequence[_Candidate]) -> float:
         """Return the expected nats of all pairs, of each as much as a decision needs."""

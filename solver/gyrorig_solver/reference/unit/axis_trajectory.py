@@ -191,7 +191,6 @@ class _TrajectoryBuilder:
     def _add_single_command_moves(
         self, parameters: MotionParameters, moves: IntArray, first: IntArray
     ) -> None:
-        """Add the moves with a single command."""
         table = self._table
         distance = table.to_steps[moves] - table.from_steps[moves]
         trapezoids = TrapezoidalMoves.of(

@@ -130,7 +130,6 @@ class CountedReference:
 
     @cached_property
     def _axis_segments(self) -> tuple[list[SplineSegment], list[SplineSegment]]:
-        """The segments of each axis."""
         pan, tilt = ([s for s in self.segments if s.axis == axis] for axis in (0, 1))
         return pan, tilt
 
@@ -151,7 +150,6 @@ class CountedReference:
         return self.rest_counts[axis][k] + float(self.values[self._rest_unknown(axis, k)])
 
     def _all_coefficients(self, axis: int, k: int) -> FloatArray:
-        """Return all coefficients of the k-th segment of an axis."""
         segment = self._axis_segments[axis][k]
         first = self._first_inner_unknown[axis][k]
         rest = self._rest_unknown(axis, k)

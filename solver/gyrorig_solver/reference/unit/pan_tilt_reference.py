@@ -271,7 +271,6 @@ class PanTiltReference:
         )
 
     def _known_intervals(self, edges_s: FloatArray) -> BoolArray:
-        """Return the mask of intervals with known motion."""
         begin, end = edges_s[:-1], edges_s[1:]
         known = (begin >= self.span_s[0]) & (end <= self.span_s[1])
         for lost_begin, lost_end, _ in self.motion.unknown_spans:
