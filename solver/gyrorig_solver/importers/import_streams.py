@@ -28,6 +28,8 @@ from gyrorig_solver.importers.map_keys import (
 )
 from gyrorig_solver.importers.matrix_attitudes import quaternions_of_matrices
 from gyrorig_solver.importers.measured_streams import (
+    LENGTH_TOLERANCE,
+    STANDARD_GRAVITY_M_S2,
     AccelStream,
     GyroStream,
     MeasuredBoard,
@@ -38,7 +40,6 @@ from gyrorig_solver.importers.measured_streams import (
 )
 from gyrorig_solver.importers.measurement_columns import MeasurementColumns
 
-STANDARD_GRAVITY_M_S2 = 9.80665  # the unit g, CGPM 1901
 MAX_SECTION_FILE_BYTES = 1_000_000
 
 
@@ -143,7 +144,7 @@ def _pose_stream(
             "no row of the attitude columns contains numbers only",
             "correct `keys` under `attitude` in the import map",
         )
-    if np.any(np.abs(length - 1.0) > 0.01):
+    if np.any(np.abs(length - 1.0) > LENGTH_TOLERANCE):
         wrong = int(np.argmax(np.abs(length - 1.0)))
         raise InputError(
             f"row {int(np.flatnonzero(is_finite)[wrong]) + 1} of the attitude columns has the "

@@ -1,13 +1,14 @@
 """Reading a file of columns with an import map, for every format of columns.
 
-What to use when: `read_with_map` in the `read` of a format whose columns a map describes. Without
-a map, `MissingMapError` has one to complete: names suggest what a column is, but a unit is never
-guessed, so that map is invalid until a person fills it in.
+What to use when: `MappedFormat` for a format whose columns a map describes. Without a map,
+`MissingMapError` has one to complete: names suggest what a column is, but a unit is never guessed,
+so that map is invalid until a person fills it in.
 """
 
 import csv
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import msgspec
@@ -20,7 +21,12 @@ from gyrorig_solver.importers.import_map import check_import_map
 from gyrorig_solver.importers.import_streams import read_mapped_streams
 from gyrorig_solver.importers.map_columns import open_map_columns
 from gyrorig_solver.importers.measured_streams import MeasuredStreams
-from gyrorig_solver.importers.measurement_format import BOARD_OPTIONS, ImportOptions, read_head
+from gyrorig_solver.importers.measurement_format import (
+    BOARD_OPTIONS,
+    FormatMatch,
+    ImportOptions,
+    read_head,
+)
 from gyrorig_solver.importers.text_columns import list_names
 
 MAP_OPTIONS = BOARD_OPTIONS | {"mapping"}
@@ -43,6 +49,26 @@ class MissingMapError(UsageError):
     def __init__(self, problem: str, remedy: str, sketch: str) -> None:
         super().__init__(problem, remedy)
         self.sketch = sketch
+
+
+@dataclass(frozen=True, slots=True)
+class MappedFormat:
+    """Columns of a table, or arrays; an import map says what they are."""
+
+    name: str
+    title: str
+    describe: Callable[[Path], str | None]  # what a file is; None: it has another format
+    extra: str = ""
+    used_options: frozenset[str] = MAP_OPTIONS
+
+    def detect(self, source: Path) -> FormatMatch | None:
+        """Return a match by the content of the file."""
+        description = self.describe(source)
+        return None if description is None else FormatMatch(description, is_complete=False)
+
+    def read(self, source: Path, options: ImportOptions) -> MeasuredStreams:
+        """Return the streams that the map describes."""
+        return read_with_map(source, options)
 
 
 def read_with_map(source: Path, options: ImportOptions) -> MeasuredStreams:

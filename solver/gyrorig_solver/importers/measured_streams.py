@@ -6,12 +6,16 @@ keeps its nanoseconds.
 """
 
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Literal, Self
+
+import numpy as np
 
 from gyrorig_protocol.recording.writer import Attachment
 from gyrorig_solver.data import FloatArray, IntArray
 from gyrorig_solver.importers.map_keys import SectionSpan
 
+STANDARD_GRAVITY_M_S2 = 9.80665  # the unit g, CGPM 1901
+LENGTH_TOLERANCE = 0.01  # of a quaternion
 # sampled: the device's own time of each sample; arrival: the time at which the host received it.
 StampKind = Literal["sampled", "arrival"]
 
@@ -61,6 +65,16 @@ class PoseStream:
     stamp: StampKind = "sampled"
     rate_hz: float | None = None  # nominal rate, if the source gives it
     lost: int = 0
+
+    @classmethod
+    def of_rows(
+        cls, time_s: FloatArray, orientation_xyzw: FloatArray, stamp: StampKind = "sampled"
+    ) -> Self:
+        """Return the rows whose quaternion has the length 1; the others are lost."""
+        length = np.linalg.norm(orientation_xyzw, axis=1)
+        is_valid = np.isfinite(length) & (np.abs(length - 1.0) < LENGTH_TOLERANCE)
+        unit = orientation_xyzw[is_valid] / length[is_valid, None]
+        return cls(time_s[is_valid], unit, stamp=stamp, lost=int((~is_valid).sum()))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -11,7 +11,7 @@ reference, because it is computed from the same gyro.
 import re
 from array import array
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -33,7 +33,6 @@ from gyrorig_solver.importers.stamp_kinds import choose_stamp_kind, count_rows
 
 NS = 1_000_000_000
 MAX_MESSAGES = 10_000_000
-LENGTH_TOLERANCE = 0.01
 MAX_LISTED_TOPICS = 12
 
 RosMessage = tuple[str, str, int, Any]  # topic, type, log time in ns, decoded message
@@ -278,21 +277,10 @@ def _board(
 
 
 def _pose_stream(topic: _Topic, origin_ns: int) -> PoseStream:
-    length = np.linalg.norm(topic.values, axis=1)
-    is_unit = np.abs(length - 1.0) < LENGTH_TOLERANCE
-    if not is_unit.any():
+    poses = PoseStream.of_rows(seconds_since(topic.stamp_ns, origin_ns), topic.values, topic.stamp)
+    if not poses.time_s.size:
         raise InputError(
             f"no message of the topic {topic.name} contains a quaternion of length 1",
             "choose another topic with --topic",
         )
-    stream = PoseStream(
-        seconds_since(topic.stamp_ns, origin_ns),
-        topic.values,
-        stamp=topic.stamp,
-        lost=int((~is_unit).sum()),
-    )
-    return replace(
-        stream,
-        time_s=stream.time_s[is_unit],
-        orientation_xyzw=topic.values[is_unit] / length[is_unit, None],
-    )
+    return poses

@@ -12,11 +12,9 @@ import numpy as np
 from gyrorig_protocol.errors import InputError
 from gyrorig_solver.data import FloatArray, IntArray
 from gyrorig_solver.importers.import_times import order_by_time, seconds_since
-from gyrorig_solver.importers.measured_streams import PoseStream
+from gyrorig_solver.importers.measured_streams import LENGTH_TOLERANCE, PoseStream
 from gyrorig_solver.importers.stamp_kinds import choose_stamp_kind
 from gyrorig_solver.importers.text_columns import MAX_ROWS
-
-LENGTH_TOLERANCE = 0.01
 
 
 def exact_stamps_ns(path: Path) -> IntArray:

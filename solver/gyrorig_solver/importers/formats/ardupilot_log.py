@@ -162,14 +162,8 @@ def _poses(
     message = columns[name]
     rows = message["C"] == message["C"][0] if "C" in message else slice(None)
     values = np.stack([message[key][rows] for key in ("Q2", "Q3", "Q4", "Q1")], axis=1)
-    length = np.linalg.norm(values, axis=1)
-    is_valid = np.isfinite(length) & (np.abs(length - 1.0) < 0.01)
     notes.append(f"the reference {name} is computed from the same gyroscopes")
-    return PoseStream(
-        message["TimeUS"][rows][is_valid] * 1e-6,
-        values[is_valid] / length[is_valid, None],
-        lost=int((~is_valid).sum()),
-    )
+    return PoseStream.of_rows(message["TimeUS"][rows] * 1e-6, values)
 
 
 FORMAT = ArdupilotLog()

@@ -16,6 +16,7 @@ from gyrorig_protocol.errors import InputError
 from gyrorig_solver.data import FloatArray
 from gyrorig_solver.importers.blackbox_log import PRODUCT, BlackboxSession, read_blackbox
 from gyrorig_solver.importers.measured_streams import (
+    STANDARD_GRAVITY_M_S2,
     AccelStream,
     GyroStream,
     MeasuredBoard,
@@ -28,7 +29,6 @@ from gyrorig_solver.importers.measurement_format import (
     read_head,
 )
 
-_STANDARD_GRAVITY_M_S2 = 9.80665  # the unit g, CGPM 1901
 _TIME_WRAP_US = 2**32
 _MAX_GAP_US = 10_000_000  # between two frames; a larger step is a damaged frame
 
@@ -160,7 +160,7 @@ def _accelerations(session: BlackboxSession) -> FloatArray | None:
     text = session.headers.get("acc_1G", "")
     if counts is None or not text.isdecimal() or not 1 <= int(text) <= 100_000:
         return None
-    return counts * (_STANDARD_GRAVITY_M_S2 / int(text))
+    return counts * (STANDARD_GRAVITY_M_S2 / int(text))
 
 
 FORMAT = BetaflightLog()

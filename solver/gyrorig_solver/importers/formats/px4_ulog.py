@@ -282,14 +282,11 @@ def _poses(
         values = np.stack(
             [np.asarray(columns[f"q[{index}]"], dtype=np.float64) for index in (1, 2, 3, 0)], axis=1
         )
-    length = np.linalg.norm(values, axis=1)
-    is_valid = np.isfinite(length) & (np.abs(length - 1.0) < 0.01)
-    time_s = _time_s(columns)
-    lost = int((~is_valid).sum())
-    if not is_valid.any():
+    poses = PoseStream.of_rows(_time_s(columns), values)
+    if not poses.time_s.size:
         notes.append(f"{name} has no valid attitude")
         return None
-    return PoseStream(time_s[is_valid], values[is_valid] / length[is_valid, None], lost=lost)
+    return poses
 
 
 FORMAT = Px4Ulog()

@@ -14,6 +14,7 @@ import numpy as np
 
 from gyrorig_protocol.errors import InputError
 from gyrorig_solver.importers.measured_streams import (
+    STANDARD_GRAVITY_M_S2,
     AccelStream,
     GyroStream,
     MeasuredBoard,
@@ -29,7 +30,6 @@ from gyrorig_solver.importers.source_tables import SourceTables
 
 _GYROS = ("GyroscopeUncalibrated.csv", "Gyroscope.csv")
 _ACCELS = ("TotalAcceleration.csv", "AccelerometerUncalibrated.csv")
-_STANDARD_GRAVITY_M_S2 = 9.80665  # the unit g, CGPM 1901
 
 
 @dataclass(frozen=True, slots=True)
@@ -142,7 +142,7 @@ def _accel(
     is_ios = properties.get("platform", "").lower() == "ios"
     is_standard = properties.get("standardisation", "").lower() == "true"
     in_g = name == _ACCELS[1] and is_ios and not is_standard
-    unit = -_STANDARD_GRAVITY_M_S2 if in_g else 1.0
+    unit = -STANDARD_GRAVITY_M_S2 if in_g else 1.0
     return AccelStream(unit * _sensor_rows(tables, name), elapsed_s - first_s)
 
 

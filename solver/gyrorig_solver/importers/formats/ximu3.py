@@ -15,6 +15,7 @@ import numpy as np
 
 from gyrorig_protocol.errors import InputError
 from gyrorig_solver.importers.measured_streams import (
+    STANDARD_GRAVITY_M_S2,
     AccelStream,
     GyroStream,
     MeasuredBoard,
@@ -33,7 +34,6 @@ from gyrorig_solver.importers.source_tables import SourceTables
 _TIME = "Timestamp (us)"
 _GYRO = [f"Gyroscope {axis} (deg/s)" for axis in "XYZ"]
 _ACCEL = [f"Accelerometer {axis} (g)" for axis in "XYZ"]
-_STANDARD_GRAVITY_M_S2 = 9.80665  # the unit g, CGPM 1901
 _MAX_COMMAND_BYTES = 1_000_000
 
 
@@ -103,7 +103,7 @@ def _read_board(folder: Path, options: ImportOptions) -> MeasuredBoard:
     return MeasuredBoard(
         options.board or serial or "X-IMU3",
         GyroStream(time_s, np.radians(inertial.matrix(_GYRO, 3))),
-        AccelStream(_STANDARD_GRAVITY_M_S2 * inertial.matrix(_ACCEL, 3)),
+        AccelStream(STANDARD_GRAVITY_M_S2 * inertial.matrix(_ACCEL, 3)),
         temperature,
         {"sensor": options.sensor or "x-IMU3", "uid": serial or "unknown", "model": "x-IMU3"},
     )
@@ -138,14 +138,8 @@ def _read_poses(
             "same gyroscope (--topic Quaternion uses it)"
         ]
     columns = tables.columns("Quaternion.csv", [1, 2, 3, 4, 5])
-    values = columns.matrix([3, 4, 5, 2], 4)
-    length = np.linalg.norm(values, axis=1)
-    is_valid = np.isfinite(length) & (np.abs(length - 1.0) < 0.01)
-    poses = PoseStream(
-        columns.matrix([1], 1)[is_valid, 0] * 1e-6,
-        values[is_valid] / length[is_valid, None],
-        lost=int((~is_valid).sum()),
-    )
+    time_s = columns.matrix([1], 1)[:, 0] * 1e-6
+    poses = PoseStream.of_rows(time_s, columns.matrix([3, 4, 5, 2], 4))
     return poses, ["the reference is the x-IMU3's own attitude, computed from the same gyroscope"]
 
 

@@ -188,12 +188,7 @@ def _poses(
             "Quat_q0 to Quat_q3 are not used as a reference, because the device computes them "
             "from the same gyroscope (--topic Quat uses them)"
         ]
-    values = columns.matrix(_QUATERNION, 4)
-    length = np.linalg.norm(values, axis=1)
-    is_valid = np.isfinite(length) & (np.abs(length - 1.0) < 0.01)
-    poses = PoseStream(
-        time_s[is_valid], values[is_valid] / length[is_valid, None], lost=int((~is_valid).sum())
-    )
+    poses = PoseStream.of_rows(time_s, columns.matrix(_QUATERNION, 4))
     return poses, ["the reference is the device's own attitude, computed from the same gyroscope"]
 
 
