@@ -144,21 +144,8 @@ def assess_space(
     if not causes:
         return UncertaintyBudget(np.zeros((size, size)), np.zeros(size), (), settings)
     statistics = _joint_statistics(projector, causes)
-    calibration = space.calibration()
-    influence = np.stack(
-        [
-            calibration.propagate(last_recording_part(shift, len(space.recording_names)))
-            for shift in statistics.absorbed
-        ]
-    )
-    marginal = MarginalCauses.of(statistics.information, statistics.score, influence)
-    return UncertaintyBudget(
-        covariance=marginal.parameter_covariance,
-        expected_error=marginal.expected_error,
-        entries=tuple(_entries(causes, marginal)),
-        settings=settings,
-        mixture=_mixture(statistics.information, statistics.score, influence, causes),
-    )
+    recordings = len(space.recording_names)
+    return _budget_by_data(space.calibration(), recordings, statistics, causes, settings)
 
 
 def _assess_causes(
@@ -180,20 +167,44 @@ def _assess_causes(
         marginals = [UnitMarginals.of(fit, unit_prior) for fit in fits]
         mixture = _corrected_mixture(calibration, marginals[-1], fits[-1], unit_prior, causes)
         return _corrected_budget(calibration, marginals, causes, settings, information, mixture)
+    recordings = len(solution.sessions)
+    budget = _budget_by_data(calibration, recordings, statistics, causes, settings, fits[-1])
+    return replace(budget, unit_information=information)
+
+
+def _budget_by_data(
+    calibration: CalibrationValues,
+    recordings: int,
+    statistics: ScoreStatistics,
+    causes: Sequence[UnidentifiedCause],
+    settings: UncertaintySettings,
+    fit: FitLinearisation | None = None,
+) -> UncertaintyBudget:
+    """Return the budget of values that no knowledge of the unit has corrected.
+
+    Args:
+        calibration: the stated values.
+        recordings: the number of recordings in the fit.
+        statistics: of the causes at the fit.
+        causes: those that were not identified.
+        settings: prior sizes.
+        fit: the last one of the linearised fits, if there are any; else `statistics` has the
+            information of the data.
+    """
     influence = np.stack(
         [
-            calibration.propagate(last_recording_part(shift, len(solution.sessions)))
+            calibration.propagate(last_recording_part(shift, recordings))
             for shift in statistics.absorbed
         ]
     )
     marginal = MarginalCauses.of(statistics.information, statistics.score, influence)
+    data = statistics if fit is None else fit
     return UncertaintyBudget(
         covariance=marginal.parameter_covariance,
         expected_error=marginal.expected_error,
         entries=tuple(_entries(causes, marginal)),
         settings=settings,
-        unit_information=information,
-        mixture=_mixture(fits[-1].information, fits[-1].score, influence, causes),
+        mixture=_mixture(data.information, data.score, influence, causes),
     )
 
 
