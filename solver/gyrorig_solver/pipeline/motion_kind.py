@@ -27,12 +27,10 @@ class MotionKind(ReferenceKind):
     def fit(
         self, data: BoardData, extend: Sequence[str] = (), named_terms: Sequence[FittedTerm] = ()
     ) -> GyroFit:
-        """Calibrate a board; see `ReferenceKind.fit`."""
         prepared = prepare_board(data, extend, named_terms)
         return prepared.summarize(prepared.solve())
 
     def fit_criticised(self, data: BoardData, requested: Sequence[str]) -> CriticisedFit:
-        """Fit a board and test the residual; see `ReferenceKind.fit_criticised`."""
         prepared = prepare_board(data, requested)
         solution = prepared.solve()
         criticism = criticise_fit(MotionFitSpace(solution))
@@ -41,12 +39,10 @@ class MotionKind(ReferenceKind):
     def fit_explained(
         self, data: BoardData, requested: Sequence[str], explanation: BoardExplanation
     ) -> CriticisedFit:
-        """Fit a board with the named causes; see `ReferenceKind.fit_explained`."""
         prepared = prepare_board(data, requested, explanation.findings.fitted_terms)
         search = explanation.fit_explanation
         solution = prepared.solve() if requested or search is None else search.solution_extended
         return CriticisedFit(prepared.summarize(solution), solution, explanation)
 
     def explain(self, data: BoardData, held_out: Recording | None) -> BoardExplanation:
-        """Search for the causes of the residual; see `ReferenceKind.explain`."""
         return explain_motion(data, explain_fit(fit_base(data), data.board), held_out)

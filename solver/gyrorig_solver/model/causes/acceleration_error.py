@@ -55,7 +55,6 @@ class AccelerationError(AngleTerm):
         return reason_without_profiles(state)
 
     def describe(self, values: FloatArray) -> str:
-        """Describe the relative errors."""
         return (
             f"the ramps are steeper than commanded by {format_list(values * 100.0, PAN_TILT, '%')}"
         )

@@ -54,7 +54,6 @@ class AxisNonOrthogonality(NonlinearTerm):
         return None if state.has_angles else NO_ANGLES
 
     def describe(self, values: FloatArray) -> str:
-        """Describe the angle."""
         error_deg = abs(values[0]) / DEG
         return f"the pan and tilt axes are {error_deg:.3f} deg away from perpendicular"
 

@@ -48,7 +48,6 @@ class AxisSwap(LinearTerm):
         return signals
 
     def describe(self, values: FloatArray) -> str:
-        """Describe which axes are swapped."""
         swapped = [
             name
             for name, value in zip(("x and y", "y and z", "z and x"), values, strict=True)

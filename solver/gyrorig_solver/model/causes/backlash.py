@@ -73,7 +73,6 @@ class Backlash(AngleTerm):
         )
 
     def describe(self, values: FloatArray) -> str:
-        """Describe the gaps."""
         return f"the gears have backlash: {format_list(values[:2] / DEG, PAN_TILT, 'deg')}"
 
 

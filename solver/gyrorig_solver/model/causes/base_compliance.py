@@ -99,7 +99,6 @@ class BaseCompliance(LinearAngleTerm):
         return signals
 
     def describe(self, values: FloatArray) -> str:
-        """Describe the compliance."""
         deflection = format_list(
             np.degrees(values * np.radians(100.0)), PAN_TILT, "deg at 100 deg/s^2"
         )

@@ -63,7 +63,6 @@ class BaseSpeedJump(AngleTerm):
         return reason_without_profiles(state)
 
     def describe(self, values: FloatArray) -> str:
-        """Describe the speeds."""
         return f"the moves start without a ramp at {format_list(values / DEG, PAN_TILT, 'deg/s')}"
 
 

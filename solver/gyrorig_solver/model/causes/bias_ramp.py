@@ -41,7 +41,6 @@ class BiasRamp(LinearTerm):
         return split_axes(state.measure_sensor_rate(on_all_axes(state.time_s - middle)))
 
     def describe(self, values: FloatArray) -> str:
-        """Describe the slopes."""
         return f"the bias drifts: {format_list(values / DEG * 60.0, XYZ, 'deg/s per minute')}"
 
 

@@ -46,7 +46,6 @@ class BiasRandomWalk(ZeroMeanTerm):
         return np.asarray(np.outer(shape, values**2), dtype=np.float64)
 
     def describe(self, values: FloatArray) -> str:
-        """Describe the levels."""
         levels = format_list(values / DEG, XYZ, "deg/s after one second")
         return f"the bias follows a random walk: {levels}"
 

@@ -43,7 +43,6 @@ class BiasStep(LinearTerm):
         return scan_grid(self, time=event_times(state, SCAN_TIMES))
 
     def describe(self, values: FloatArray) -> str:
-        """Describe the step and its time."""
         text = format_list(values[:3] / DEG, XYZ, "deg/s")
         return f"the bias changes suddenly at {values[3]:.1f} s: {text}"
 

@@ -61,7 +61,6 @@ class BoardSlip(NonlinearTerm):
         return scan_grid(self, time=event_times(state, SCAN_TIMES))
 
     def describe(self, values: FloatArray) -> str:
-        """Describe the rotation and its time."""
         return (
             f"the board turns on its mount at {values[3]:.1f} s by "
             f"{format_list(values[:3] / DEG, XYZ, 'deg')}"

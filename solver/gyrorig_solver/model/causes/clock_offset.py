@@ -43,7 +43,6 @@ class ClockOffset(LinearTerm):
         return state.with_delay(np.full(state.used_instants.size, -float(values[0])))
 
     def describe(self, values: FloatArray) -> str:
-        """Describe the delay."""
         return f"the samples are {values[0] * 1e3:.3g} ms late relative to the motion"
 
 

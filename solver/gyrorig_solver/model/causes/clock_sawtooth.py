@@ -96,7 +96,6 @@ class ClockSawtooth(TimeTerm):
         return np.asarray(-period_s * (turns - np.floor(turns) - 0.5), dtype=np.float64)
 
     def describe(self, values: FloatArray) -> str:
-        """Describe the drift and the corrections."""
         direction = "fast" if values[0] > 0.0 else "slow"
         step_ms = 1e3 * abs(float(values[0] * values[1]))
         return (

@@ -48,7 +48,6 @@ class ClockSkew(TimeTerm):
         return scan_grid(self, rate=np.array([0.0, 1e-3, -1e-3, 1e-2, -1e-2]))
 
     def describe(self, values: FloatArray) -> str:
-        """Describe the frequency offset."""
         direction = "fast" if values[0] > 0.0 else "slow"
         skew_ppm = abs(values[0]) * 1e6
         return f"the board's clock is {skew_ppm:.3g} ppm {direction} relative to the unit's clock"

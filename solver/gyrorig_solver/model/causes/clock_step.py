@@ -59,7 +59,6 @@ class ClockStep(TimeTerm):
         )
 
     def describe(self, values: FloatArray) -> str:
-        """Describe the step and its time."""
         return f"the timestamps jump by {values[0] * 1e3:.3g} ms at {values[1]:.1f} s"
 
 

@@ -33,7 +33,6 @@ class CorruptSamples(ZeroMeanTerm):
     effect_if_ignored = "the fit rejects large errors as outliers; small errors add noise"
 
     def describe(self, values: FloatArray) -> str:
-        """Describe the share."""
         return f"{values[0] * 100.0:.3g} % of the samples have corrupted words"
 
 

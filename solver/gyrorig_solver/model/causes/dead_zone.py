@@ -98,7 +98,6 @@ class DeadZone(NonlinearTerm):
         return scan_grid(self, threshold=DEG * np.geomspace(0.05, 4.0, 16))
 
     def describe(self, values: FloatArray) -> str:
-        """Describe the thresholds."""
         return f"rates are not measured below {format_list(values / DEG, XYZ, 'deg/s')}"
 
 

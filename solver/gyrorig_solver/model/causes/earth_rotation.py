@@ -76,7 +76,6 @@ class EarthRotation(LinearTerm):
         return earth_axis_in_base(site) is not None
 
     def describe(self, values: FloatArray) -> str:
-        """Describe the correction."""
         return f"the Earth's rotation of {values[0] / DEG * 3600.0:.1f} deg/h is in the rates"
 
 

@@ -66,7 +66,6 @@ class Eccentricity(LinearAngleTerm):
         ]
 
     def describe(self, values: FloatArray) -> str:
-        """Describe the amplitude."""
         size = float(np.hypot(values[0], values[1])) / DEG
         return f"the pan angle is wrong by +-{size:.3g} deg once per turn"
 

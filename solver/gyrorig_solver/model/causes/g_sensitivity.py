@@ -71,7 +71,6 @@ class GSensitivity(LinearTerm):
         return None if parameter else profile.g_sensitivity_dps_g
 
     def describe(self, values: FloatArray) -> str:
-        """Describe the largest sensitivity of each axis."""
         worst = np.abs(values.reshape(3, 3)).max(axis=1) / _DPS_PER_G
         return f"the bias depends on gravity: up to {format_list(worst, XYZ, 'deg/s per g')}"
 

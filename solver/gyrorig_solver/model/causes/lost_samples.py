@@ -61,7 +61,6 @@ class LostSamples(TimeTerm):
         return scan_grid(self, count=np.array([0.0, 20.0]), time=event_times(state, SCAN_TIMES))
 
     def describe(self, values: FloatArray) -> str:
-        """Describe the count and the time."""
         return f"{values[0]:.3g} uncounted samples are missing at {values[1]:.1f} s"
 
     def _period(self, state: SignalState) -> float:

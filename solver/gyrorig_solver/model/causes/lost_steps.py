@@ -151,7 +151,6 @@ class LostSteps(LinearAngleTerm):
         return pulse_templates(state)
 
     def describe(self, values: FloatArray) -> str:
-        """Describe the lost angles and the time."""
         text = format_list(values[:2] / DEG, PAN_TILT, "deg")
         return f"the motors lost steps at {values[2]:.2f} s: {text}"
 

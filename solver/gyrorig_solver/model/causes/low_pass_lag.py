@@ -84,7 +84,6 @@ class LowPassLag(NonlinearTerm):
         return None
 
     def describe(self, values: FloatArray) -> str:
-        """Describe the cut-off."""
         return (
             f"the cut-off frequency of the low-pass filter is {np.exp(values[0]):.2f} times the "
             "configured bandwidth"

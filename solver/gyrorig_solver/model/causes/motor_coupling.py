@@ -60,7 +60,6 @@ class MotorCoupling(LinearTerm):
         return None if state.has_angles else NO_ANGLES
 
     def describe(self, values: FloatArray) -> str:
-        """Describe the shifts."""
         pan, tilt = values[:3] / DEG, values[3:] / DEG
         return (
             f"running motors shift the bias: pan {format_list(pan, XYZ, 'deg/s')}, "

@@ -32,7 +32,6 @@ class RepeatedSamples(ZeroMeanTerm):
     effect_if_ignored = "the noise and all uncertainties appear smaller than they are"
 
     def describe(self, values: FloatArray) -> str:
-        """Describe the share."""
         return f"{values[0] * 100.0:.3g} % of the samples repeat the previous one"
 
 

@@ -57,7 +57,6 @@ class Ringing(LinearAngleTerm):
         return np.concatenate(grids)
 
     def describe(self, values: FloatArray) -> str:
-        """Describe shares, frequency and damping."""
         text = format_list(values[:2] * 100.0, PAN_TILT, "%")
         return f"the stage rings at {values[2]:.1f} Hz (damping {values[3]:.2g}): {text}"
 

@@ -52,7 +52,6 @@ class SCurve(AngleTerm):
         return reason_without_profiles(state)
 
     def describe(self, values: FloatArray) -> str:
-        """Describe the lengths."""
         return (
             f"the corners of the ramps are rounded over {format_list(values * 1e3, PAN_TILT, 'ms')}"
         )

@@ -59,7 +59,6 @@ class SampleJitter(ZeroMeanTerm):
         return np.asarray(np.maximum(used * samples_per_instant, 1.0)[:, None], dtype=np.float64)
 
     def describe(self, values: FloatArray) -> str:
-        """Describe the standard deviation."""
         return f"the sampling times scatter by {values[0] * 1e3:.3g} ms about their timestamps"
 
 

@@ -61,7 +61,6 @@ class Saturation(NonlinearTerm):
         return None
 
     def describe(self, values: FloatArray) -> str:
-        """Describe the limit."""
         return f"rates are clipped at {(1.0 - values[0]) * 100.0:.3g} % of the full scale"
 
 

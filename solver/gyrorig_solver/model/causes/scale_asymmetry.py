@@ -33,7 +33,6 @@ class ScaleAsymmetry(LinearTerm):
         return split_axes(state.measure_sensor_rate(np.abs(state.sensor_rate_rad_s)))
 
     def describe(self, values: FloatArray) -> str:
-        """Describe the shares."""
         text = format_list(values * 100.0, XYZ, "%")
         return f"the scale factors of positive and negative rates differ: +-{text}"
 

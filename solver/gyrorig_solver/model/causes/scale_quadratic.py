@@ -43,7 +43,6 @@ class ScaleQuadratic(LinearTerm):
         return split_axes(state.measure_sensor_rate(state.sensor_rate_rad_s**2))
 
     def describe(self, values: FloatArray) -> str:
-        """Describe the error at 100 deg/s."""
         text = format_list(values / _PER_DPS, XYZ, "deg/s at 100 deg/s")
         return f"the scale factor has an even non-linearity: {text}"
 

@@ -39,7 +39,6 @@ class SignFlip(LinearTerm):
         return split_axes(-2.0 * (state.sample_output(state.filtered_rad_s) + state.bias_rad_s))
 
     def describe(self, values: FloatArray) -> str:
-        """Describe which axes are reversed."""
         flipped = [name for name, value in zip(XYZ, values, strict=True) if value > 0.5]
         return f"axes with the wrong sign: {', '.join(flipped) or 'none'}"
 

@@ -41,7 +41,6 @@ class StepResolution(LinearAngleTerm):
         return [(0, state.angle_rad[0]), (1, state.angle_rad[1])]
 
     def describe(self, values: FloatArray) -> str:
-        """Describe the relative errors."""
         text = format_list(values * 100.0, PAN_TILT, "%")
         return f"the step size differs from the configured one by {text}"
 

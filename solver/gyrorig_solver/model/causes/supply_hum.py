@@ -69,7 +69,6 @@ class SupplyHum(LinearTerm):
         return scan_grid(self, frequency=np.concatenate(frequencies_hz))
 
     def describe(self, values: FloatArray) -> str:
-        """Describe amplitude and frequency."""
         size = np.hypot(values[:3], values[3:6]) / DEG
         return (
             f"the rates have a spectral line at {values[6]:.2f} Hz: "

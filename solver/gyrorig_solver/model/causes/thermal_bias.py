@@ -94,7 +94,6 @@ class ThermalBias(LinearTerm):
         return scan_grid(self, lag=np.array([-60.0, -30.0, -15.0, 0.0, 15.0, 30.0, 60.0]))
 
     def describe(self, values: FloatArray) -> str:
-        """Describe the slopes and the lag."""
         slopes = format_list(values[:3] / DEG, XYZ, "deg/s per kelvin")
         lag_text = f", with a thermometer lag of {values[-1]:.0f} s" if values[-1] else ""
         return f"the bias depends on the temperature: {slopes}{lag_text}"

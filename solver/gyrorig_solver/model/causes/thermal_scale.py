@@ -51,7 +51,6 @@ class ThermalScale(LinearTerm):
         return None if parameter or drift is None else drift * 1e6
 
     def describe(self, values: FloatArray) -> str:
-        """Describe the slopes."""
         text = format_list(values * 100.0, XYZ, "% per kelvin")
         return f"the scale factor depends on the temperature: {text}"
 

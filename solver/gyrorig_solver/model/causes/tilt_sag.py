@@ -42,7 +42,6 @@ class TiltSag(LinearAngleTerm):
         return [(1, np.cos(tilt)), (1, np.sin(tilt))]
 
     def describe(self, values: FloatArray) -> str:
-        """Describe the amplitude."""
         size = float(np.hypot(values[0], values[1])) / DEG
         return f"the payload's weight bends the tilt axis by up to {size:.3g} deg"
 

@@ -58,7 +58,6 @@ class TiltZero(NonlinearTerm):
         )
 
     def describe(self, values: FloatArray) -> str:
-        """Describe the angle."""
         return f"the zero of the tilt axis is {values[0] / DEG:.3f} deg away from level"
 
     def _measured_rotation(self, state: SignalState, sine: float, cosine: float) -> FloatArray:

@@ -46,7 +46,6 @@ class VibrationRectification(LinearTerm):
         return None if state.has_angles else NO_ANGLES
 
     def describe(self, values: FloatArray) -> str:
-        """Describe the shifts."""
         text = format_list(values / _PER_DPS, XYZ, "deg/s at 32 deg/s")
         return f"the vibration of the motors shifts the bias with the square of the speed: {text}"
 

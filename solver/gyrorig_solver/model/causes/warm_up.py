@@ -46,7 +46,6 @@ class WarmUp(LinearTerm):
         return scan_grid(self, time_constant=np.array([8.0, 15.0, 30.0, 60.0, 120.0, 240.0, 600.0]))
 
     def describe(self, values: FloatArray) -> str:
-        """Describe amplitude and time constant."""
         text = format_list(values[:3] / DEG, XYZ, "deg/s")
         return f"the bias decays with a time constant of {values[3]:.0f} s, from {text}"
 

@@ -72,7 +72,6 @@ class WormError(LinearAngleTerm):
         return scan_grid(self, period=MOTOR_TURN_RAD / np.array([1.0, 2.0, 3.0, 4.0]))
 
     def describe(self, values: FloatArray) -> str:
-        """Describe amplitudes and period."""
         size = np.hypot(values[:2], values[2:4]) / DEG
         text = format_list(size, PAN_TILT, "deg")
         return (

@@ -44,7 +44,6 @@ class WrongFullScale(NonlinearTerm):
         return scan_grid(self, doublings=np.array([-2.0, -1.0, 1.0, 2.0]))
 
     def describe(self, values: FloatArray) -> str:
-        """Describe the factor."""
         return (
             f"the counts are {2.0 ** values[0]:.3g} times those that the configured full scale "
             "implies"

@@ -43,7 +43,6 @@ class AttitudeKind(ReferenceKind):
     def fit(
         self, data: BoardData, extend: Sequence[str] = (), named_terms: Sequence[FittedTerm] = ()
     ) -> GyroFit:
-        """Calibrate a board with the attitudes; see `ReferenceKind.fit`."""
         del named_terms  # `fit_explained` has the fit with them
         check_fittable(extend)
         space, remarks = extend_attitudes(
@@ -52,7 +51,6 @@ class AttitudeKind(ReferenceKind):
         return space.summarize(remarks)
 
     def fit_criticised(self, data: BoardData, requested: Sequence[str]) -> CriticisedFit:
-        """Fit a board, and test what the fit leaves; see `ReferenceKind.fit_criticised`."""
         check_fittable(requested)
         space, remarks = extend_attitudes(
             fit_attitude_space(load_attitude_recordings(data)), requested
@@ -64,7 +62,6 @@ class AttitudeKind(ReferenceKind):
     def fit_explained(
         self, data: BoardData, requested: Sequence[str], explanation: BoardExplanation
     ) -> CriticisedFit:
-        """Fit a board with the named causes; see `ReferenceKind.fit_explained`."""
         space = explanation.attitude_space
         if space is None:
             return super().fit_explained(data, requested, explanation)
@@ -75,7 +72,6 @@ class AttitudeKind(ReferenceKind):
         )
 
     def explain(self, data: BoardData, held_out: Recording | None) -> BoardExplanation:
-        """Search for the causes of the residual; see `ReferenceKind.explain`."""
         usable = tuple(r for r in data.recordings if has_attitudes(r))
         held = [] if held_out is None else _load_held_out(held_out, data.board)
         explanation = explain_attitudes(load_attitude_recordings(data), *held)

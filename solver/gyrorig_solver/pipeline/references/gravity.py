@@ -23,7 +23,6 @@ class GravityKind(ReferenceKind):
     def fit(
         self, data: BoardData, extend: Sequence[str] = (), named_terms: Sequence[FittedTerm] = ()
     ) -> GyroFit:
-        """Calibrate a board with gravity; see `ReferenceKind.fit`."""
         del named_terms
         refuse_causes(extend)
         if len(data.recordings) > 1:

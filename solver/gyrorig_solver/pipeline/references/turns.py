@@ -20,7 +20,6 @@ class TurnKind(ReferenceKind):
     def fit(
         self, data: BoardData, extend: Sequence[str] = (), named_terms: Sequence[FittedTerm] = ()
     ) -> GyroFit:
-        """Calibrate a board with the turns; see `ReferenceKind.fit`."""
         del named_terms
         refuse_causes(extend)
         return fit_turns(list(zip(data.samples, data.known_turns, strict=True)))
