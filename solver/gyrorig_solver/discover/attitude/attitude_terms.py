@@ -35,7 +35,7 @@ from gyrorig_solver.model import (
     start_values,
 )
 from gyrorig_solver.model.catalogue import catalogue
-from gyrorig_solver.model.term import Scope
+from gyrorig_solver.model.term import Scope, size_parameter
 
 
 class ReferenceSmoothing(LinearTerm):
@@ -100,15 +100,7 @@ class MovingBias(LinearTerm):
     cause = "moving_bias"
     part: Part = "sensor"
     parameters = (
-        TermParameter(
-            name="bias",
-            unit="rad/s",
-            typical_size=0.1 * DEG,
-            lower=-5.0 * DEG,
-            upper=5.0 * DEG,
-            prior_std=1.0 * DEG,
-            components=XYZ,
-        ),
+        size_parameter("bias", "rad/s", XYZ, typical=0.1, limit=5.0, prior_std=1.0, factor=DEG),
     )
     confused_with = ("scale_asymmetry", "scale_quadratic", "g_sensitivity", "dead_zone")
     nameless_description = "on whether the board moves (the bias changes)"

@@ -14,7 +14,7 @@ from gyrorig_protocol.profile import SensorProfile
 from gyrorig_solver.data import FloatArray
 from gyrorig_solver.model.signal_arrays import on_all_axes, split_axes
 from gyrorig_solver.model.signal_state import SignalState
-from gyrorig_solver.model.term import BinnedDependence, TermParameter, shape_parameter
+from gyrorig_solver.model.term import BinnedDependence, shape_parameter, size_parameter
 from gyrorig_solver.model.term_kinds import LinearTerm, scan_grid
 from gyrorig_solver.model.value_format import DEG, XYZ, format_list
 
@@ -55,14 +55,14 @@ class ThermalBias(LinearTerm):
             # A typical curvature is a tenth of the slope at the end of the span.
             scale = DEG * SPAN_K ** (1 - power) * 0.1 ** min(power - 1, 1)
             sizes.append(
-                TermParameter(
-                    name=name,
-                    unit="rad/s/K" + (f"^{power}" if power > 1 else ""),
-                    typical_size=_TYPICAL_DPS_K * scale,
-                    lower=-_MAX_DPS_K * scale,
-                    upper=_MAX_DPS_K * scale,
-                    prior_std=_MAX_DPS_K * scale,
-                    components=XYZ,
+                size_parameter(
+                    name,
+                    "rad/s/K" + (f"^{power}" if power > 1 else ""),
+                    XYZ,
+                    typical=_TYPICAL_DPS_K,
+                    limit=_MAX_DPS_K,
+                    prior_std=_MAX_DPS_K,
+                    factor=scale,
                 )
             )
         lag = shape_parameter(
