@@ -90,6 +90,13 @@ class ChangeEntry(_Document, frozen=True):
     std: float | None
     unit: str
 
+    @property
+    def sigma(self) -> float:
+        """The change in standard uncertainties; 0 where it is not known."""
+        if self.before is None or self.after is None or not self.std:
+            return 0.0
+        return abs(self.after - self.before) / self.std
+
 
 class CauseEntry(_Document, frozen=True, omit_defaults=True):
     """One named cause, or the most probable of a set that the data cannot separate."""

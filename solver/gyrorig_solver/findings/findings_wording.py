@@ -9,7 +9,6 @@ from types import MappingProxyType
 from gyrorig_solver.discover.attitude.attitude_terms import ReferenceSmoothing
 from gyrorig_solver.findings.findings_document import (
     CauseEntry,
-    ChangeEntry,
     DetectableEntry,
     FindingsDocument,
     SizeEntry,
@@ -130,7 +129,7 @@ def parameter_bias_sigma(document: FindingsDocument, cause: CauseEntry) -> float
     it, as in the table of changes; one of several is taken to first order.
     """
     if len(document.causes) == 1 and document.effect_on_calibration:
-        return max(_change_sigma(change) for change in document.effect_on_calibration)
+        return max(change.sigma for change in document.effect_on_calibration)
     return cause.harm_sigma
 
 
@@ -254,12 +253,6 @@ def _cause_lines(document: FindingsDocument, cause: CauseEntry) -> list[str]:
     if cause.remedy:
         lines.append(f"    what to do: {cause.remedy}")
     return lines
-
-
-def _change_sigma(change: ChangeEntry) -> float:
-    if change.before is None or change.after is None or not change.std:
-        return 0.0
-    return abs(change.after - change.before) / change.std
 
 
 def _deg_per_s_text(value: float | None) -> str:

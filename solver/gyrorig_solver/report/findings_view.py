@@ -154,7 +154,7 @@ def _effect_text(document: FindingsDocument, cause: CauseEntry) -> str:
     changes = (
         document.effect_on_calibration if len(document.causes) == 1 else cause.effect_on_calibration
     )
-    name = f" ({max(changes, key=_shift_sigma).parameter})" if changes else ""
+    name = f" ({max(changes, key=lambda change: change.sigma).parameter})" if changes else ""
     return (
         "Without this cause in the fit, the calibration is wrong by up to "
         f"{format_short(bias_sigma)} standard uncertainties{name}."
@@ -194,13 +194,13 @@ def _tiles(document: FindingsDocument) -> list[dict[str, str]]:
             )
         tiles += _gain_tile("log-likelihood ratio, held-out data", gain)
     if len(document.causes) > 1 and document.effect_on_calibration:
-        largest_change = max(document.effect_on_calibration, key=_shift_sigma)
-        if _shift_sigma(largest_change) > 0.0:
+        largest_change = max(document.effect_on_calibration, key=lambda change: change.sigma)
+        if largest_change.sigma > 0.0:
             tiles.append(
                 _tile(
                     "largest change of a parameter",
                     "",
-                    f"{format_short(_shift_sigma(largest_change))} u",
+                    f"{format_short(largest_change.sigma)} u",
                     f"{largest_change.parameter}, in standard uncertainties",
                 )
             )
@@ -288,10 +288,10 @@ def _interval_text(gain: GainEntry) -> str:
 
 def _change_rows(changes: Sequence[ChangeEntry]) -> list[dict[str, str]]:
     rows = []
-    for rank, change in enumerate(sorted(changes, key=_shift_sigma, reverse=True)):
+    for rank, change in enumerate(sorted(changes, key=lambda change: change.sigma, reverse=True)):
         if change.before is None or change.after is None or change.std is None:
             continue
-        if rank >= MIN_ROWS and _shift_sigma(change) < MIN_SHIFT_SIGMA:
+        if rank >= MIN_ROWS and change.sigma < MIN_SHIFT_SIGMA:
             break
         group = group_of(change.parameter)
         if group is not None:
@@ -306,16 +306,10 @@ def _change_rows(changes: Sequence[ChangeEntry]) -> list[dict[str, str]]:
                 "parameter": change.parameter,
                 "before": f"{before} {unit}".strip(),
                 "after": f"{after} ± {std} {unit}".strip(),
-                "sigma": f"{_shift_sigma(change):.1f}",
+                "sigma": f"{change.sigma:.1f}",
             }
         )
     return rows
-
-
-def _shift_sigma(change: ChangeEntry) -> float:
-    if change.before is None or change.after is None or not change.std:
-        return 0.0
-    return abs(change.after - change.before) / change.std
 
 
 def _unexplained_view(
