@@ -186,6 +186,7 @@ class Term(ABC):
     excitation: str  # what a recording needs to show the cause and to separate it
     effect_if_ignored: str  # on a calibration without this cause
 
+    needs_angles: bool = False  # the reference must give the pose at each moment
     depends_on_upstream: bool = False  # its effect changes with small changes before it
     ignores_clipping: bool = False  # its derivatives are taken as if nothing clipped the rate
     derivative_step: float = DERIVATIVE_STEP  # larger where the effect changes in steps
@@ -238,7 +239,7 @@ class Term(ABC):
 
     def reason_not_testable(self, state: SignalState) -> str | None:
         """Return why this recording cannot show the cause, with the remedy; None if it can."""
-        return None
+        return NO_ANGLES if self.needs_angles and not state.has_angles else None
 
     def time_offset_ambiguity_s(self, values: FloatArray) -> float:
         """Return how far the time offset of a later recording may be from the fitted one."""

@@ -14,7 +14,6 @@ from gyrorig_solver.data import FloatArray
 from gyrorig_solver.model.signal_arrays import stack_signals, zero_signals
 from gyrorig_solver.model.signal_state import SignalState
 from gyrorig_solver.model.term import (
-    NO_ANGLES,
     Part,
     Scope,
     Stage,
@@ -76,6 +75,7 @@ class AngleTerm(NonlinearTerm):
 
     part: Part = "ptu"
     stage: Stage = "stage"
+    needs_angles: bool = True
     depends_on_upstream: bool = True
     scope: Scope = "unit"
 
@@ -99,10 +99,6 @@ class AngleTerm(NonlinearTerm):
     def propagate(self, state: SignalState, values: FloatArray) -> SignalState:
         """Return the signal with the angle error applied."""
         return state.with_angles(self.angle_error(state, values))
-
-    def reason_not_testable(self, state: SignalState) -> str | None:
-        """Return why the reference has no angles, or None."""
-        return None if state.has_angles else NO_ANGLES
 
 
 class LinearAngleTerm(AngleTerm):

@@ -14,7 +14,7 @@ import numpy as np
 
 from gyrorig_solver.data import FloatArray
 from gyrorig_solver.model.signal_state import SignalState
-from gyrorig_solver.model.term import NO_ANGLES, BinnedDependence, size_parameter
+from gyrorig_solver.model.term import BinnedDependence, size_parameter
 from gyrorig_solver.model.term_kinds import NonlinearTerm
 from gyrorig_solver.model.value_format import DEG
 
@@ -34,6 +34,7 @@ class AxisNonOrthogonality(NonlinearTerm):
     remedy = "have the tilt axis shimmed, or let `gyrorig solve` fit this cause"
     covariates = ("tilt_angle",)
     picture = BinnedDependence("gain", "tilt", 10)
+    needs_angles = True
     excitation = "pan sweeps at three or more tilts that are far apart"
     effect_if_ignored = (
         "row x of the gain and M absorb this cause; their errors reach 46 standard uncertainties "
@@ -48,10 +49,6 @@ class AxisNonOrthogonality(NonlinearTerm):
     def jacobian(self, state: SignalState, values: FloatArray) -> FloatArray:
         """Return the derivative, (1, blocks, 3)."""
         return self._measured_rate(state, float(np.cos(values[0])), -float(np.sin(values[0])))[None]
-
-    def reason_not_testable(self, state: SignalState) -> str | None:
-        """Return why the reference has no axes, or None."""
-        return None if state.has_angles else NO_ANGLES
 
     def describe(self, values: FloatArray) -> str:
         error_deg = abs(values[0]) / DEG

@@ -10,7 +10,6 @@ from gyrorig_solver.data import FloatArray
 from gyrorig_solver.model.signal_arrays import on_all_axes, split_axes
 from gyrorig_solver.model.signal_state import SignalState
 from gyrorig_solver.model.term import (
-    NO_ANGLES,
     RATE_COVARIATES,
     BinnedDependence,
     TermParameter,
@@ -41,6 +40,7 @@ class MotorCoupling(LinearTerm):
     remedy = "supply the board separately from the motors and route their cables apart"
     covariates = RATE_COVARIATES
     picture = BinnedDependence("mean", "speed")
+    needs_angles = True
     excitation = "moves at several speeds with rests of the same length between them"
     effect_if_ignored = "the bias in motion differs from the bias at rest"
 
@@ -54,10 +54,6 @@ class MotorCoupling(LinearTerm):
     def is_of_unit(self) -> bool:
         """The motors are the unit's."""
         return True
-
-    def reason_not_testable(self, state: SignalState) -> str | None:
-        """Return why the reference has no motors, or None."""
-        return None if state.has_angles else NO_ANGLES
 
     def describe(self, values: FloatArray) -> str:
         pan, tilt = values[:3] / DEG, values[3:] / DEG

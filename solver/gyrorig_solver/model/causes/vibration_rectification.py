@@ -10,7 +10,7 @@ import numpy as np
 from gyrorig_solver.data import FloatArray
 from gyrorig_solver.model.signal_arrays import on_all_axes, split_axes
 from gyrorig_solver.model.signal_state import SignalState
-from gyrorig_solver.model.term import NO_ANGLES, RATE_COVARIATES, BinnedDependence, size_parameter
+from gyrorig_solver.model.term import RATE_COVARIATES, BinnedDependence, size_parameter
 from gyrorig_solver.model.term_kinds import LinearTerm
 from gyrorig_solver.model.value_format import DEG, XYZ, format_list
 
@@ -32,6 +32,7 @@ class VibrationRectification(LinearTerm):
     remedy = "mount the board on a stiffer plate, away from the motor, and use half steps"
     covariates = RATE_COVARIATES
     picture = BinnedDependence("mean", "speed")
+    needs_angles = True
     excitation = "four or more speeds, each at several tilts"
     effect_if_ignored = "the bias in motion differs from the bias at rest"
 
@@ -40,10 +41,6 @@ class VibrationRectification(LinearTerm):
         squared_speed = state.pan_rate_rad_s**2 + state.tilt_rate_rad_s**2
         known_speed = np.where(state.motion_known, squared_speed, 0.0)
         return split_axes(state.measure_sensor_rate(on_all_axes(known_speed)))
-
-    def reason_not_testable(self, state: SignalState) -> str | None:
-        """Return why the reference has no motors, or None."""
-        return None if state.has_angles else NO_ANGLES
 
     def describe(self, values: FloatArray) -> str:
         text = format_list(values / _PER_DPS, XYZ, "deg/s at 32 deg/s")
