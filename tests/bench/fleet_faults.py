@@ -26,7 +26,7 @@ from tests.bench.bench_fleet import GYRORIG, MAKE, batch, cluster, say
 from tests.bench.fleet_machine import adopt, below
 from tests.bench.s3_server import BUCKET, served
 
-from gyrorig_solver.fleet.store import open_index, verify
+from gyrorig_solver.fleet.store import StoreIndex, verify
 from gyrorig_solver.storage import storage_at
 
 FOREIGN = 8  # files in the spool that are no recordings
@@ -64,7 +64,7 @@ def kill(child: Popen) -> None:
 def judged(what: str, store: str, boards: int, begun_s: float) -> bool:
     """Count what a store holds, say it, and return whether all is as it should be."""
     place = storage_at(store)
-    index = open_index(place)
+    index = StoreIndex(place)
     rows = Counter(status for (status,) in index.query("SELECT status FROM rows"))
     keys, written = index.query("SELECT count(DISTINCT key), count(*) FROM all_rows")[0]
     report = verify(place)

@@ -24,7 +24,7 @@ from gyrorig_solver.fleet.jobs.batch_run import RECORDING_CACHE_FILE
 from gyrorig_solver.fleet.jobs.recording_cache import RecordingCache
 from gyrorig_solver.fleet.jobs.spool_scanner import group_into_sessions, read_recordings, scan_spool
 from gyrorig_solver.fleet.store import IndexRow, StoreIndex, job_key, verify
-from gyrorig_solver.fleet.store.folder_journal import FolderJournal
+from gyrorig_solver.fleet.store.coordination import RowJournal
 from gyrorig_solver.fleet.store.manifest import write_manifests
 from gyrorig_solver.fleet.store.store_queries import VersionFilter, newest_versions
 from gyrorig_solver.storage import Folder
@@ -39,7 +39,7 @@ def fill(folder: Path, boards: int, document: str, report: bytes) -> tuple[Path,
     page = folder / "report.html"
     page.write_bytes(report)
     settings, rng = SolveSettings(solver_version="0.1.0"), np.random.default_rng(1)
-    with FolderJournal(store, "night") as journal:
+    with RowJournal(Folder(store), "night") as journal:
         rows: list[IndexRow] = []
         for number in range(boards):
             data = head.replace(b"n000000", b"n%06d" % number)
@@ -64,7 +64,7 @@ def fill(folder: Path, boards: int, document: str, report: bytes) -> tuple[Path,
                 )
             )
         journal.add(rows)
-    StoreIndex(store).merge_abandoned_journals()
+    StoreIndex(store).merge_ended_batches()
     write_manifests(Folder(store), None)
     return spool, store
 

@@ -11,6 +11,8 @@ object is read after every failed put: if it has our bytes, our put succeeded.
 
 import asyncio
 import contextlib
+import hashlib
+import os
 import tempfile
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
@@ -18,6 +20,7 @@ from datetime import datetime
 from pathlib import Path, PurePosixPath
 from typing import Any
 
+from gyrorig_protocol.atomic_files import write_atomically
 from gyrorig_protocol.errors import InputError, MachineError, UsageError
 from gyrorig_solver.storage.storage_protocol import StorageEntry
 
@@ -117,6 +120,22 @@ class Bucket:
                 relative_name, int(details.get("size") or 0), change_tag, _unix_seconds(changed)
             )
 
+    def cache_folder(self) -> Path:
+        """See `Storage`."""
+        base = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+        folder = base / "gyrorig" / hashlib.sha256(self.location.encode()).hexdigest()[:16]
+        with _report_cache_errors(folder):
+            folder.mkdir(parents=True, exist_ok=True)
+        return folder
+
+    def cached_copy(self, name: str) -> Path:
+        """See `Storage`."""
+        copy = self.cache_folder() / PurePosixPath(name).name
+        if not copy.is_file():
+            with self.local_copy(name) as fetched, _report_cache_errors(copy):
+                write_atomically(copy, fetched.read_bytes(), durable=False)
+        return copy
+
     @contextlib.contextmanager
     def local_copy(self, name: str) -> Iterator[Path]:
         """See `Storage`."""
@@ -147,6 +166,18 @@ class Bucket:
             "check the name of the bucket, the network, and the credentials "
             "(AWS_ENDPOINT_URL, AWS_PROFILE)",
         )
+
+
+@contextlib.contextmanager
+def _report_cache_errors(path: Path) -> Iterator[None]:
+    """Turn errors of the disk into a MachineError that names the file."""
+    try:
+        yield
+    except OSError as fault:
+        raise MachineError(
+            f"the file or folder {path} in the cache cannot be written ({fault.strerror})",
+            "free some disk space, or set XDG_CACHE_HOME to a folder that you can write",
+        ) from fault
 
 
 def open_bucket(location: str) -> Bucket:

@@ -68,6 +68,14 @@ class Folder:
                         status.st_mtime,
                     )
 
+    def cache_folder(self) -> Path:
+        """See `Storage`: the folder itself."""
+        return self.path
+
+    def cached_copy(self, name: str) -> Path:
+        """See `Storage`: the file itself."""
+        return self.path / name
+
     @contextlib.contextmanager
     def local_copy(self, name: str) -> Iterator[Path]:
         """See `Storage`."""

@@ -67,6 +67,21 @@ class Storage(Protocol):
             MachineError: the storage does not answer, or refuses.
         """
 
+    def cache_folder(self) -> Path:
+        """Return the folder of this machine for caches of this storage. They can be deleted.
+
+        Raises:
+            MachineError: the folder cannot be created.
+        """
+
+    def cached_copy(self, name: str) -> Path:
+        """Return a file of this machine with the contents of a file that never changes.
+
+        Raises:
+            MachineError: the storage does not answer, or refuses.
+            InputError: the file does not exist.
+        """
+
     def local_copy(self, name: str) -> AbstractContextManager[Path]:
         """Provide the file on this machine, with its own name, while the block runs.
 

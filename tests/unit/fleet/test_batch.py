@@ -24,7 +24,7 @@ from gyrorig_solver.fleet.jobs.batch_run import Shard
 from gyrorig_solver.fleet.jobs.session_job import Job, JobResult, failure_row, run_job
 from gyrorig_solver.fleet.jobs.workers import DeferredJob, WorkerPool, run_all
 from gyrorig_solver.fleet.store import StoreIndex, verify
-from gyrorig_solver.fleet.store.folder_claims import FolderClaims
+from gyrorig_solver.fleet.store.coordination import BatchClaims
 from gyrorig_solver.storage import Folder
 
 BOARD = BoardId("GY80-1")
@@ -86,11 +86,11 @@ def test_shards_share_the_work(spool: Path, tmp_path: Path) -> None:
 def test_claims_of_a_running_batch_are_kept(spool: Path, tmp_path: Path) -> None:
     store = tmp_path / "store"
     create_store(store)
-    other = FolderClaims(store, "rival")
-    with other.begin_batch(StoreIndex(store)):
+    other = BatchClaims(Folder(store), "rival")
+    with other.begin_batch():
         keys = [path.name for path in (store / "claims").glob("??/*")]
         assert keys == []
-        mine = FolderClaims(store, "mine")
+        mine = BatchClaims(Folder(store), "mine")
         assert other.try_claim("aa1")
         assert not mine.try_claim("aa1")
         other.mark_done("aa1")
@@ -99,7 +99,7 @@ def test_claims_of_a_running_batch_are_kept(spool: Path, tmp_path: Path) -> None
     assert mine.try_claim("aa2")  # the rival died with it
     assert not mine.try_claim("aa1")  # it had done it
     mine.release("aa2")
-    with FolderClaims(store, "next").begin_batch(StoreIndex(store)):
+    with BatchClaims(Folder(store), "next").begin_batch():
         assert not list((store / "claims").glob("??/*"))
 
 
@@ -158,7 +158,7 @@ def test_a_deadline_fails_the_work_and_keeps_the_trace(
 def test_a_board_without_a_calibration_has_a_row(tmp_path: Path) -> None:
     create_store(tmp_path)
     index = StoreIndex(tmp_path)
-    with FolderClaims(tmp_path, "night").begin_batch(index) as journal:
+    with BatchClaims(Folder(tmp_path), "night").begin_batch() as journal:
         journal.add(
             [failure_row(make_job("k", tmp_path), "rejected", reason="no motion", board=BOARD)]
         )

@@ -5,6 +5,7 @@ from collections import Counter
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from uuid import uuid4
 
 import pytest
 from tests.unit.fleet.conftest import row
@@ -14,9 +15,8 @@ from gyrorig_protocol.identity import BoardId
 from gyrorig_solver.calibration import STORE_FILE, CalibrationStore, create_store
 from gyrorig_solver.fleet.jobs import BatchSummary, SolveSettings, run_batch
 from gyrorig_solver.fleet.jobs.workers import WorkerPool
-from gyrorig_solver.fleet.store import bucket_coordination, rebuild_index, verify
-from gyrorig_solver.fleet.store.bucket_coordination import BucketClaims, BucketJournal
-from gyrorig_solver.fleet.store.bucket_index import BucketIndex
+from gyrorig_solver.fleet.store import StoreIndex, coordination, rebuild_index, verify
+from gyrorig_solver.fleet.store.coordination import BatchClaims, RowJournal
 from gyrorig_solver.fleet.store.store_queries import VersionFilter, all_versions, newest_versions
 from gyrorig_solver.storage import Folder, Storage, storage_at
 from gyrorig_solver.storage.bucket import Bucket
@@ -37,6 +37,12 @@ def night(spool: Storage | Path, store: Storage, **more: object) -> BatchSummary
     # In threads: the bucket of these tests is of this process.
     pools = [WorkerPool(lambda: ThreadPoolExecutor(1)) for _ in range(2)]
     return run_batch(spool, store, SETTINGS, pools, **more)  # type: ignore[arg-type]
+
+
+def take_all_for_dead(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let all batches be on another machine, which has been silent for long."""
+    monkeypatch.setattr(coordination, "this_machine", lambda: uuid4().hex)
+    monkeypatch.setattr(coordination, "HEARTBEAT_TIMEOUT_S", -1.0)
 
 
 def test_a_batch_from_a_bucket_into_a_bucket(bucket: Bucket, recorded: list[Path]) -> None:
@@ -73,8 +79,8 @@ def test_claims_are_kept_only_while_a_batch_lives(
     bucket: Bucket, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     create_store(bucket)
-    other, mine = BucketClaims(bucket, "rival"), BucketClaims(bucket, "mine")
-    with other.begin_batch(BucketIndex(bucket)), mine.begin_batch(BucketIndex(bucket)):
+    other, mine = BatchClaims(bucket, "rival"), BatchClaims(bucket, "mine")
+    with other.begin_batch(), mine.begin_batch():
         assert other.try_claim("aa1")
         assert other.try_claim("aa1")  # it is its own
         assert not mine.try_claim("aa1")
@@ -85,13 +91,11 @@ def test_claims_are_kept_only_while_a_batch_lives(
         other.release("aa3")  # which it never had
         assert mine.try_claim("aa2")
         other.try_claim("aa4")
-    third = BucketClaims(bucket, "third")
-    with third.begin_batch(BucketIndex(bucket)):
+    third = BatchClaims(bucket, "third")
+    with third.begin_batch():
         assert not list(bucket.list_files("claims"))  # nobody ran when it began
     other.try_claim("aa4")
-    monkeypatch.setattr(
-        bucket_coordination, "HEARTBEAT_TIMEOUT_S", -1.0
-    )  # everyone is taken for dead
+    take_all_for_dead(monkeypatch)
     assert third.try_claim("aa4")
     assert [item.name for item in bucket.list_files("claims")] == [
         "claims/aa/aa4.0000",
@@ -103,66 +107,66 @@ def test_a_batch_that_starts_during_another_keeps_its_heartbeat(
     bucket: Bucket, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     create_store(bucket)
-    living, late = bucket_coordination.live_batches, BucketClaims(bucket, "late")
-    journals: list[BucketJournal] = []
+    living, late = coordination.live_batches, BatchClaims(bucket, "late")
+    journals: list[RowJournal] = []
 
-    def answer(storage: Storage, probe: str) -> set[str]:
-        result = living(storage, probe)
-        monkeypatch.setattr(bucket_coordination, "live_batches", living)
-        journals.append(late.begin_batch(BucketIndex(bucket)))
+    def answer(storage: Storage) -> set[str]:
+        result = living(storage)
+        monkeypatch.setattr(coordination, "live_batches", living)
+        journals.append(late.begin_batch())
         assert late.try_claim("aa1")
         return result
 
-    monkeypatch.setattr(bucket_coordination, "live_batches", answer)
-    early = BucketClaims(bucket, "early")
-    with early.begin_batch(BucketIndex(bucket)), journals[0]:
-        assert living(bucket, "early") == {"early", "late"}
+    monkeypatch.setattr(coordination, "live_batches", answer)
+    early = BatchClaims(bucket, "early")
+    with early.begin_batch(), journals[0]:
+        assert living(bucket) == {"early", "late"}
         assert not early.try_claim("aa1")
 
 
 def test_rows_of_a_dead_batch_and_later_rows_of_a_sleeper_are_merged(bucket: Bucket) -> None:
     create_store(bucket)
-    sleeper = BucketClaims(bucket, "sleeper")
-    journal = sleeper.begin_batch(BucketIndex(bucket))
+    sleeper = BatchClaims(bucket, "sleeper")
+    journal = sleeper.begin_batch()
     journal.add([row("k1")])
     bucket.remove(["alive/sleeper"])  # its lid is shut
-    index = BucketIndex(bucket)
-    assert index.merge_abandoned_journals() == 1
+    index = StoreIndex(bucket)
+    assert index.merge_ended_batches() == 1
     journal.add([row("k2")])
     with journal:
         pass
-    assert index.merge_abandoned_journals() == 1
+    assert index.merge_ended_batches() == 1
     assert index.finished_keys() == {"k1", "k2"}
-    assert index.merge_abandoned_journals() == 0
+    assert index.merge_ended_batches() == 0
 
 
 def test_an_object_of_a_put_with_a_lost_answer_is_not_overwritten(bucket: Bucket) -> None:
     create_store(bucket)
-    journal = BucketClaims(bucket, "night").begin_batch(BucketIndex(bucket))
+    journal = BatchClaims(bucket, "night").begin_batch()
     with journal:
-        bucket.write("journal/night-0000/000000.jsonl", b"")
+        bucket.write("journal/night-000000.jsonl", b"")
         journal.add([row("k1")])
-    assert BucketIndex(bucket).finished_keys() == {"k1"}
+    assert StoreIndex(bucket).finished_keys() == {"k1"}
 
 
-@pytest.mark.parametrize("doing", [BucketIndex.merge_abandoned_journals, BucketIndex.finished_keys])
+@pytest.mark.parametrize("doing", [StoreIndex.merge_ended_batches, StoreIndex.finished_keys])
 def test_a_part_merged_by_another_batch_while_read_counts_once(
-    bucket: Bucket, monkeypatch: pytest.MonkeyPatch, doing: Callable[[BucketIndex], object]
+    bucket: Bucket, monkeypatch: pytest.MonkeyPatch, doing: Callable[[StoreIndex], object]
 ) -> None:
     create_store(bucket)
-    with BucketClaims(bucket, "night").begin_batch(BucketIndex(bucket)) as journal:
+    with BatchClaims(bucket, "night").begin_batch() as journal:
         journal.add([row("k1")])
     read = Bucket.read
 
     def late(self: Bucket, name: str) -> bytes | None:
         if name.startswith("journal/"):
             monkeypatch.setattr(Bucket, "read", read)
-            assert BucketIndex(bucket).merge_abandoned_journals() == 1
+            assert StoreIndex(bucket).merge_ended_batches() == 1
         return read(self, name)
 
     monkeypatch.setattr(Bucket, "read", late)
-    assert doing(BucketIndex(bucket)) in (1, {"k1"})
-    assert BucketIndex(bucket).query("SELECT key FROM all_rows") == [("k1",)]
+    assert doing(StoreIndex(bucket)) in (1, {"k1"})
+    assert StoreIndex(bucket).query("SELECT key FROM all_rows") == [("k1",)]
     assert not list(bucket.list_files("journal"))
 
 
@@ -174,7 +178,7 @@ def test_a_job_repeated_by_a_waking_batch_has_one_version(
     spool.mkdir()
     shutil.copy(recorded[0], spool / "a.mcap")
     with monkeypatch.context() as patched, ThreadPoolExecutor(2) as processes:
-        patched.setattr(bucket_coordination, "HEARTBEAT_TIMEOUT_S", -1.0)
+        take_all_for_dead(patched)
         reported = [
             item.result() for item in [processes.submit(night, spool, bucket) for _ in range(2)]
         ]
@@ -209,7 +213,7 @@ def test_a_brief_outage_loses_nothing(
     last = night(spool, bucket)
     assert last.done_before + last.finished == 12
     assert last.deferred == 0
-    assert BucketIndex(bucket).query("SELECT count(*), count(DISTINCT key) FROM rows") == [(12, 12)]
+    assert StoreIndex(bucket).query("SELECT count(*), count(DISTINCT key) FROM rows") == [(12, 12)]
     assert verify(bucket).faults == ()
 
 
@@ -236,7 +240,7 @@ def test_a_recording_that_the_bucket_does_not_deliver_is_deferred(
     assert "does not answer" in first.deferral_reason
     monkeypatch.setattr(Bucket, "local_copy", local)
     assert night(spool, store).sessions_by_status == Counter(rejected=1)
-    assert BucketIndex(store).query("SELECT count(*) FROM rows") == [(2,)]
+    assert StoreIndex(store).query("SELECT count(*) FROM rows") == [(2,)]
 
 
 def test_a_newer_or_foreign_store_is_refused_in_one_line(bucket: Bucket) -> None:

@@ -12,7 +12,8 @@ from tests.unit.fleet.test_fleet_overview import script
 from gyrorig_solver.calibration import create_store
 from gyrorig_solver.cli import run
 from gyrorig_solver.fleet.store import StoreIndex
-from gyrorig_solver.fleet.store.folder_journal import FolderJournal
+from gyrorig_solver.fleet.store.coordination import RowJournal
+from gyrorig_solver.storage import Folder
 
 STD = 1e-3
 LOTS = {"lot-a": 24, "lot-b": 20, "lot-c": 5}
@@ -35,9 +36,9 @@ def fleet_json(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> dict[str, 
             lines.append(f"{board},{lot},")
     later = "2026-02-01T02:30:00Z"
     rows.append(row("bad", board="lot-a-3", status="rejected", created=later, rig="r"))
-    with FolderJournal(tmp_path / "store", "night") as journal:
+    with RowJournal(Folder(tmp_path / "store"), "night") as journal:
         journal.add(rows)
-    StoreIndex(tmp_path / "store").merge_abandoned_journals()
+    StoreIndex(tmp_path / "store").merge_ended_batches()
     (tmp_path / "boards.csv").write_text("\n".join(lines), encoding="utf-8")
     command = ["fleet", str(tmp_path / "store"), "--boards", str(tmp_path / "boards.csv"), "--json"]
     assert run(command) == 0

@@ -10,12 +10,12 @@ from threading import Barrier, Event, Semaphore
 import pytest
 from tests.unit.fleet.conftest import row
 
-from gyrorig_protocol.errors import BusyError, MachineError, UsageError
+from gyrorig_protocol.errors import BusyError, UsageError
 from gyrorig_solver.calibration import STORE_FILE, create_store
 from gyrorig_solver.fleet.jobs import SolveSettings, local_pools, run_batch
-from gyrorig_solver.fleet.store import StoreIndex, rebuild_index
-from gyrorig_solver.fleet.store.folder_claims import FolderClaims
-from gyrorig_solver.fleet.store.folder_journal import FolderJournal, is_batch_running
+from gyrorig_solver.fleet.store import StoreIndex, coordination, rebuild_index
+from gyrorig_solver.fleet.store.coordination import BatchClaims, RowJournal, live_batches
+from gyrorig_solver.storage import Folder
 
 
 @pytest.fixture(autouse=True)
@@ -65,9 +65,9 @@ def test_readers_see_every_row_while_journals_are_merged(tmp_path: Path) -> None
     def write() -> None:
         try:
             for night in range(nights):
-                with FolderJournal(tmp_path, f"night{night}") as journal:
+                with RowJournal(Folder(tmp_path), f"night{night}") as journal:
                     journal.add([row(f"k{night}")])
-                StoreIndex(tmp_path).merge_abandoned_journals()
+                StoreIndex(tmp_path).merge_ended_batches()
         finally:
             over.set()
 
@@ -88,31 +88,34 @@ def test_overlapping_batches_lose_no_row(tmp_path: Path) -> None:
     def run(number: int) -> None:
         for night in range(nights):
             name = f"b{number}n{night}"
-            index, claims = StoreIndex(tmp_path), FolderClaims(tmp_path, name)
-            with claims.begin_batch(index) as journal:
+            index, claims = StoreIndex(tmp_path), BatchClaims(Folder(tmp_path), name)
+            with claims.begin_batch() as journal:
                 journal.add([row(f"{name}-first")])
-                index.merge_journal(journal.start_next_part())
-                assert is_batch_running(tmp_path, name)
+                index.merge_batch(name)
+                assert name in live_batches(Folder(tmp_path))
                 journal.add([row(f"{name}-second")])
-            claims.end_batch(index)
+                index.merge_batch(name)
 
     together(batches, run)
-    StoreIndex(tmp_path).merge_abandoned_journals()
+    StoreIndex(tmp_path).merge_ended_batches()
     rows = StoreIndex(tmp_path).query("SELECT key FROM all_rows")
     assert len(rows) == len(set(rows)) == batches * nights * 2
 
 
-def test_rebuilding_the_index_during_batches_loses_no_row(tmp_path: Path) -> None:
+def test_rebuilding_the_index_during_batches_loses_no_row(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(coordination, "EXCLUSIVE_POLL_S", 0.01)
     create_store(tmp_path)
     nights, turn = 10, Semaphore(0)  # a rebuilding a night: more would keep the nights waiting
 
     def write() -> None:
         for night in range(nights):
             turn.release()
-            index, claims = StoreIndex(tmp_path), FolderClaims(tmp_path, f"night{night}")
-            with claims.begin_batch(index) as journal:
+            index, claims = StoreIndex(tmp_path), BatchClaims(Folder(tmp_path), f"night{night}")
+            with claims.begin_batch() as journal:
                 journal.add([row(f"k{night}", board="", status="rejected", reason="no MCAP")])
-            claims.end_batch(index)
+                index.merge_batch(f"night{night}")
 
     def make_anew() -> None:
         for _ in range(nights):
@@ -144,22 +147,3 @@ def test_parallel_batches_do_every_job_once(tmp_path: Path) -> None:
         together(3, run)
         assert sum(ended) == 4
         assert len(StoreIndex(store).query("SELECT * FROM all_rows")) == 4
-
-
-def test_a_failed_new_part_keeps_the_current_part_in_use(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    with FolderJournal(tmp_path, "night") as journal:
-        journal.add([row("k1")])
-        with monkeypatch.context() as patched:
-            patched.setattr(Path, "rename", _refuse)
-            with pytest.raises(MachineError, match="cannot be written"):
-                journal.start_next_part()
-        journal.add([row("k2")])
-        assert is_batch_running(tmp_path, "night")
-    StoreIndex(tmp_path).merge_abandoned_journals()
-    assert StoreIndex(tmp_path).finished_keys() == {"k1", "k2"}
-
-
-def _refuse(*_: object) -> None:
-    raise OSError(28, "No space left on device")

@@ -21,8 +21,9 @@ from gyrorig_solver.calibration.calibration_document import calibration_as_yaml
 from gyrorig_solver.cli import run
 from gyrorig_solver.fleet.drift import build_overview
 from gyrorig_solver.fleet.store import IndexRow, StoreIndex
-from gyrorig_solver.fleet.store.folder_journal import FolderJournal
+from gyrorig_solver.fleet.store.coordination import RowJournal
 from gyrorig_solver.fleet.store.index_rows import calibration_row
+from gyrorig_solver.storage import Folder
 
 GOLDEN = Path(__file__).parents[1] / "output" / "golden" / "good.yaml"
 STD = 2.0**-12  # of every parameter of the golden calibration but the time offset
@@ -77,9 +78,9 @@ def store(tmp_path: Path) -> Path:
         row("bad", status="rejected", board="", reason="no motion", names=["x.mcap"]),
         row("worse", status="failed", board="GY-2", reason="slow", names=["y.mcap"]),
     ]
-    with FolderJournal(tmp_path / "store", "night") as journal:
+    with RowJournal(Folder(tmp_path / "store"), "night") as journal:
         journal.add(rows)
-    StoreIndex(tmp_path / "store").merge_abandoned_journals()
+    StoreIndex(tmp_path / "store").merge_ended_batches()
     return tmp_path / "store"
 
 

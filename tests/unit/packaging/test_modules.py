@@ -23,7 +23,6 @@ ALTERNATIVES = {
     "gyrorig_protocol.board_protocols": "one protocol per file",
     "gyrorig_solver.data.stream": "one check per file",
     "gyrorig_solver.export": "one format per file",
-    "gyrorig_solver.fleet.store": "one kind of storage per file",
     "gyrorig_solver.model.causes": "one cause per file",
     "gyrorig_solver.pipeline.references": "one kind of reference per file",
     "gyrorig_solver.storage": "one kind of storage per file",

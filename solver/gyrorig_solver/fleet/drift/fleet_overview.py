@@ -34,7 +34,6 @@ from gyrorig_solver.fleet.drift.latest_calibrations import (
     LatestCalibrations,
     float_column,
     latest_calibrations,
-    query_columns,
     read_origins,
 )
 from gyrorig_solver.fleet.drift.population import (
@@ -45,8 +44,8 @@ from gyrorig_solver.fleet.drift.population import (
     fit_population,
     mahalanobis_p_values,
 )
-from gyrorig_solver.fleet.store import NEWEST_FIRST_SQL, StoreIndex, open_index
-from gyrorig_solver.storage import Storage, storage_at
+from gyrorig_solver.fleet.store import NEWEST_FIRST_SQL, StoreIndex
+from gyrorig_solver.storage import Storage
 
 __all__ = [
     "GROUP_KINDS",
@@ -93,7 +92,7 @@ def build_overview(store: Path | Storage, origins: BoardOrigins | None = None) -
     Raises:
         InputError: the index is damaged.
     """
-    index = open_index(storage_at(store))
+    index = StoreIndex(store)
     boards = latest_calibrations(index, origins or BoardOrigins())
     populations, offset_comparisons, group_differences = compare_groups(boards)
     charts, night_days = _drift_charts(index, boards)
@@ -199,7 +198,7 @@ def _drift_charts(
         "QUALIFY row_number() OVER "
         f"(PARTITION BY board, start::DATE ORDER BY {NEWEST_FIRST_SQL}) = 1"
     )
-    answer = query_columns(index, sql)
+    answer = index.query_columns(sql)
     if not answer["board"].size:
         return [], np.zeros(0, dtype=np.intp)
     number = {name: position for position, name in enumerate(boards.board)}

@@ -11,7 +11,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
-import duckdb
 import numpy as np
 import numpy.typing as npt
 
@@ -122,7 +121,7 @@ def latest_calibrations(index: StoreIndex, origins: BoardOrigins) -> LatestCalib
         f"QUALIFY row_number() OVER (PARTITION BY board ORDER BY {NEWEST_FIRST_SQL}) = 1 "
         "ORDER BY board"
     )
-    answer = query_columns(index, sql)
+    answer = index.query_columns(sql)
     boards = [str(board) for board in answer["board"]]
     return LatestCalibrations(
         board=boards,
@@ -139,25 +138,6 @@ def latest_calibrations(index: StoreIndex, origins: BoardOrigins) -> LatestCalib
         value={name: float_column(answer[name]) for name in PARAMETER_COLUMNS},
         std={name: float_column(answer[f"{name}_std"]) for name in PARAMETER_COLUMNS},
     )
-
-
-def query_columns(index: StoreIndex, sql: str) -> dict[str, npt.NDArray[Any]]:
-    """Return the result of a query as columns; millions of rows as objects take gigabytes.
-
-    Raises:
-        InputError: as `StoreIndex.query`.
-    """
-    with index.connect() as database:
-        try:
-            answer: dict[str, npt.NDArray[Any]] = database.execute(sql).fetchnumpy()
-        except duckdb.Error as fault:
-            raise InputError(
-                "the index of the store, a list of its calibrations, cannot be read "
-                f"({' '.join(str(fault).split())[:200]})",
-                "make the index again from the calibrations with `gyrorig store "
-                "rebuild-index STORE`",
-            ) from fault
-    return answer
 
 
 def float_column(column: npt.NDArray[Any]) -> FloatArray:

@@ -29,10 +29,9 @@ from gyrorig_solver.fleet.jobs.spool_scanner import (
 )
 from gyrorig_solver.fleet.jobs.workers import DeferredJob, WorkerPool, run_all
 from gyrorig_solver.fleet.store import IndexRow, StoreIndex, job_key
-from gyrorig_solver.fleet.store.bucket_index import cache_folder
+from gyrorig_solver.fleet.store.coordination import BatchClaims, RowJournal
 from gyrorig_solver.fleet.store.manifest import Signer, write_manifests
-from gyrorig_solver.fleet.store.store_backend import RowJournal, WorkClaims, open_index_and_claims
-from gyrorig_solver.storage import Folder, Storage, storage_at
+from gyrorig_solver.storage import Storage, storage_at
 
 RECORDING_CACHE_FILE = "spool-heads.sqlite"
 GIVE_UP_AFTER_DEFERRALS = 20  # consecutive ones: the store is full, or gone
@@ -139,9 +138,10 @@ def run_batch(
     listing, storage = scan_spool(spool), storage_at(store)
     create_store(storage)
     batch = f"{datetime.now(UTC):%Y%m%dT%H%M%SZ}-{os.getpid()}-{secrets.token_hex(3)}"
-    index, claims = open_index_and_claims(storage, batch)
+    index, claims = StoreIndex(storage), BatchClaims(storage, batch)
     summary = BatchSummary(listing)
-    with claims.begin_batch(index) as journal:
+    with claims.begin_batch() as journal:
+        index.merge_ended_batches()
         work = _new_work(listing, storage, settings, index, shard or Shard(), retry, summary)
         progress(summary)
         for is_second_pass in (False, True):
@@ -151,12 +151,12 @@ def run_batch(
             if is_second_pass or not summary.deferred or summary.gave_up or workers_lost:
                 break
             work = _retry_deferred(work, claims, summary)
-    _close_batch(storage, index, claims, signer, summary)
+        _close_batch(storage, index, batch, signer, summary)
     return summary
 
 
 def _retry_deferred(
-    work: list[tuple[str, RecordedSession]], claims: WorkClaims, summary: BatchSummary
+    work: list[tuple[str, RecordedSession]], claims: BatchClaims, summary: BatchSummary
 ) -> list[tuple[str, RecordedSession]]:
     """Return the deferred jobs for a second attempt, after their claims are released."""
     retried = [(key, session) for key, session in work if key in summary.deferred_keys]
@@ -171,13 +171,14 @@ def _retry_deferred(
 def _close_batch(
     storage: Storage,
     index: StoreIndex,
-    claims: WorkClaims,
+    batch: str,
     signer: Signer | None,
     summary: BatchSummary,
 ) -> None:
     """Merge the rows into the index and write manifests; on an error the next batch does it."""
     try:
-        claims.end_batch(index)
+        index.merge_batch(batch)
+        index.merge_ended_batches()
         write_manifests(storage, signer, summary.own_rows)
     except MachineError as fault:
         summary.unmerged_reason = str(fault)
@@ -192,8 +193,8 @@ def _new_work(
     retry: Sequence[str],
     summary: BatchSummary,
 ) -> list[tuple[str, RecordedSession]]:
-    cache_dir = store.path if isinstance(store, Folder) else cache_folder(store)
-    with RecordingCache(cache_dir / RECORDING_CACHE_FILE, listing.storage.location) as cache:
+    cache_file = store.cache_folder() / RECORDING_CACHE_FILE
+    with RecordingCache(cache_file, listing.storage.location) as cache:
         known, unread = cache.split_known(listing)
         all_sessions = group_into_sessions(
             [*known, *cache.remember(read_recordings(listing.storage, unread))], listing.storage
@@ -222,7 +223,7 @@ def _claimed_jobs(
     store: Storage,
     batch: str,
     settings: SolveSettings,
-    claims: WorkClaims,
+    claims: BatchClaims,
     summary: BatchSummary,
 ) -> Iterator[Job]:
     for key, session in work:
@@ -252,7 +253,7 @@ def _run_jobs(
     pools: list[WorkerPool],
     journal: RowJournal,
     index: StoreIndex,
-    claims: WorkClaims,
+    claims: BatchClaims,
     summary: BatchSummary,
     progress: ProgressCallback,
 ) -> None:
@@ -266,9 +267,9 @@ def _run_jobs(
             summary.consecutive_deferrals = 0
             with contextlib.suppress(MachineError):  # the job has its rows, which is enough
                 claims.mark_done(outcome.key)
-            if journal.is_full:
-                with contextlib.suppress(MachineError):  # the next batch merges it
-                    index.merge_journal(journal.start_next_part())
+            if journal.take_full():
+                with contextlib.suppress(MachineError):  # it is merged later
+                    index.merge_batch(journal.batch)
         except MachineError as fault:
             key = outcome.job.key if isinstance(outcome, DeferredJob) else outcome.key
             _defer(summary, key, fault)  # nothing of the job is recorded

@@ -36,7 +36,7 @@ from gyrorig_solver.fleet.page.history_scripts import (
     history_shard,
     shared_chart_data,
 )
-from gyrorig_solver.fleet.store import open_index
+from gyrorig_solver.fleet.store import StoreIndex
 from gyrorig_solver.storage import Folder, Storage, storage_at
 
 PAGE_FOLDER = "fleet"
@@ -67,7 +67,7 @@ def write_fleet_page(
     page_storage.write(
         f"{prefix}data.js", _script("FLEET", json.dumps(data, separators=(",", ":")))
     )
-    for name, text in history_scripts(open_index(storage), overview, charts):
+    for name, text in history_scripts(StoreIndex(storage), overview, charts):
         page_storage.write(f"{prefix}history/{name}.js", _script("HISTORY", f'"{name}",{{{text}}}'))
     return f"{page_storage.location}/{prefix}index.html"
 

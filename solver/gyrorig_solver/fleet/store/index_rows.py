@@ -7,7 +7,7 @@ documents. The document remains authoritative.
 
 import hashlib
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from datetime import datetime
 from typing import Literal
 
@@ -102,6 +102,11 @@ def row_columns(row: IndexRow) -> dict[str, object]:
     columns: dict[str, object] = msgspec.to_builtins(row)
     columns.pop("parameters", None)
     return {**columns, **row.parameters}
+
+
+def json_lines(rows: Iterable[IndexRow]) -> bytes:
+    """Return rows as JSON, one per line, as in a journal."""
+    return b"".join(msgspec.json.encode(row_columns(row)) + b"\n" for row in rows)
 
 
 def parameter_values(calibration: CalibrationDocument) -> dict[str, float]:

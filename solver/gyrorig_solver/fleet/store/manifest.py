@@ -23,8 +23,9 @@ from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey,
 from cryptography.hazmat.primitives.serialization import load_pem_private_key, load_pem_public_key
 
 from gyrorig_protocol.errors import InputError, UsageError
+from gyrorig_solver.fleet.store.coordination import INDEX_FOLDER as INDEX
 from gyrorig_solver.fleet.store.index_rows import IndexRow
-from gyrorig_solver.fleet.store.store_index import INDEX_FOLDER as INDEX
+from gyrorig_solver.fleet.store.store_index import index_files
 from gyrorig_solver.storage import Storage
 
 MANIFEST_FOLDER = "manifest"
@@ -137,16 +138,6 @@ def remove_manifests(storage: Storage) -> None:
         MachineError: the store does not answer, or refuses.
     """
     storage.remove([entry.name for entry in storage.list_files(MANIFEST_FOLDER)])
-
-
-def index_files(storage: Storage) -> list[str]:
-    """Return the names of the files of the index.
-
-    Raises:
-        MachineError: the store does not answer.
-    """
-    names = (PurePosixPath(entry.name) for entry in storage.list_files(INDEX))
-    return [str(name) for name in names if name.suffix == ".parquet" and name.name[0] != "."]
 
 
 def manifest_name(index_file: str) -> str:

@@ -1,33 +1,36 @@
 """Index of a store: append-only Parquet files, and the journals not yet merged into them.
 
-What to use when: `StoreIndex.finished_keys` before a batch, `merge_journal` to turn a journal into
-a Parquet file, `query` for any question in SQL about the table `rows`. DuckDB reads the same
-files without this program: `SELECT * FROM 'STORE/index/*.parquet'`.
+What to use when: `StoreIndex.finished_keys` before a batch, `merge_batch` and `merge_ended_batches`
+to turn journals into Parquet files, `query` for any question in SQL about the table `rows`. DuckDB
+reads the same files without this program: `SELECT * FROM 'STORE/index/*.parquet'`.
 
-A file of the index has the name of its journal. A merge that was interrupted after the file was
-written and before the journal was removed is therefore recognised, and not done twice.
+A file of the index has the name of its batch and the digest of its rows. If two batches merge one
+journal at the same time, or a merge is interrupted and repeated, they write the same file.
 """
 
-import os
-from collections.abc import Iterable, Sequence
+import hashlib
+import tempfile
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from itertools import islice
 from pathlib import Path
 from typing import Any
-from uuid import uuid4
 
 import duckdb
-import msgspec
+import numpy.typing as npt
 
 from gyrorig_protocol.errors import InputError, MachineError
-from gyrorig_solver.fleet.store.folder_journal import JOURNAL_FOLDER as JOURNALS
-from gyrorig_solver.fleet.store.folder_journal import (
-    JOURNAL_SUFFIX,
-    abandoned_journals,
-    complete_lines,
-    report_disk_errors,
+from gyrorig_solver.fleet.store.coordination import (
+    INDEX_FOLDER,
+    JOURNAL_FOLDER,
+    journal_files,
+    live_batches,
 )
-from gyrorig_solver.fleet.store.index_rows import IndexRow, row_columns, sql_columns
+from gyrorig_solver.fleet.store.index_rows import IndexRow, json_lines, sql_columns
+from gyrorig_solver.storage import Storage, storage_at
 
-INDEX_FOLDER = "index"
+ROWS_PER_REBUILT_FILE = 50_000  # of which one is in memory at a time
+_DIGEST_CHARS = 12  # of a digest, in a file's name
 # A batch killed between a version and its row causes a second row later, and a repeated job has
 # another result. One row per job and board counts: a calibration, else the latest row. The view
 # has three parts, so that a query for one board reads the rows of that board only.
@@ -49,38 +52,36 @@ _ROWS_VIEW_SQL = """CREATE VIEW rows AS
 class StoreIndex:
     """The rows of one store. Used by one thread."""
 
-    def __init__(self, store: Path) -> None:
-        self._store = store
-        self._folder = store / INDEX_FOLDER
+    def __init__(self, store: Path | Storage) -> None:
+        self._storage = storage_at(store)
 
-    def merge_journal(self, journal: Path) -> None:
-        """Write a journal that no batch uses any more as a Parquet file, and remove the journal.
+    def merge_batch(self, batch: str) -> None:
+        """Write the journal of a batch as a file of the index, and remove the journal.
 
         Raises:
-            MachineError: the disk refuses; the journal stays.
+            MachineError: the store refuses; the journal stays.
             InputError: the journal is damaged; it stays.
         """
-        final = self._folder / (journal.name.removesuffix(JOURNAL_SUFFIX) + ".parquet")
-        try:
-            text = complete_lines(journal)
-        except FileNotFoundError:  # merged by another batch a moment ago
-            return
-        if text and not final.exists():
-            self._write_journal_rows(text, journal, final)
-        journal.unlink(missing_ok=True)
+        self._merge(batch, journal_files(self._storage).get(batch, []))
 
-    def merge_abandoned_journals(self) -> int:
-        """Merge the journals of batches that have ended; return their number."""
-        with abandoned_journals(self._store) as journals:
-            for journal in journals:
-                self.merge_journal(journal)
-        return len(journals)
+    def merge_ended_batches(self) -> int:
+        """Merge the journals of batches that have ended; return their number.
 
-    def remove_temporary_files(self) -> None:
-        """Remove temporary files of killed merges; only while no other batch merges."""
-        for folder in (self._folder, self._store / JOURNALS):
-            for path in folder.glob(".*"):
-                path.unlink(missing_ok=True)
+        Raises:
+            MachineError: the store refuses; the journals stay.
+            InputError: a journal is damaged; it stays.
+        """
+        journals = journal_files(self._storage)
+        ended = sorted(set(journals) - live_batches(self._storage)) if journals else []
+        for batch in ended:
+            self._merge(batch, journals[batch])
+        return len(ended)
+
+    def _merge(self, batch: str, names: Sequence[str]) -> None:
+        text = b"".join(_complete_lines(self._storage.read(name)) for name in names)
+        if text:  # else it has no row, or another batch has merged it meanwhile
+            self._add_file(batch, text)
+        self._storage.remove(names)
 
     def finished_keys(self, retry: Sequence[str] = ()) -> set[str]:
         """Return the keys of finished jobs; a job whose status is in `retry` is not finished."""
@@ -94,37 +95,40 @@ class StoreIndex:
 
         Raises:
             InputError: a file of the index is damaged, or not a Parquet file.
+            MachineError: the store does not answer.
         """
-        with self.connect() as database:
-            try:
-                return database.execute(sql, list(values)).fetchall()
-            except duckdb.Error as fault:
-                raise _damaged_index_error(self._folder, fault) from fault
+        with self.connect() as database, self._report_damage():
+            return database.execute(sql, list(values)).fetchall()
+
+    def query_columns(self, sql: str) -> dict[str, npt.NDArray[Any]]:
+        """Return the result of a query as columns; millions of rows as objects take gigabytes.
+
+        Raises:
+            InputError: as `query`.
+            MachineError: as `query`.
+        """
+        with self.connect() as database, self._report_damage():
+            columns: dict[str, npt.NDArray[Any]] = database.execute(sql).fetchnumpy()
+            return columns
 
     def rebuild(self, rows: Iterable[IndexRow], name: str) -> None:
         """Write the index again, from these rows and its own rows of unsuccessful jobs.
 
         Raises:
-            MachineError: the disk refuses; the old index stays.
+            MachineError: the store refuses; the old index stays.
         """
         old_files = [
-            *self._folder.glob("*.parquet"),
-            *(self._store / JOURNALS).glob(f"*{JOURNAL_SUFFIX}"),
+            entry.name
+            for folder in (INDEX_FOLDER, JOURNAL_FOLDER)
+            for entry in self._storage.list_files(folder)
         ]
-        lines = self._store / JOURNALS / f".{name}{JOURNAL_SUFFIX}"
-        with report_disk_errors(lines):
-            lines.parent.mkdir(exist_ok=True)
-        with report_disk_errors(lines), lines.open("wb") as file:
-            file.writelines(msgspec.json.encode(row_columns(row)) + b"\n" for row in rows)
-        try:
-            with self._previous_index() as database:
-                new_rows = _read_json_lines(database, [lines], torn=False)
-                other_rows = database.sql("SELECT * FROM rows WHERE status <> 'ok'")
-                self._write_parquet(new_rows.union(other_rows), self._folder / f"{name}.parquet")
-        finally:
-            lines.unlink(missing_ok=True)
-        for path in old_files:
-            path.unlink(missing_ok=True)
+        with self._previous_index() as database:
+            unsuccessful = database.sql("SELECT * FROM rows WHERE status <> 'ok'")
+            new_files = {self._write_relation(name, unsuccessful)}
+        remaining = iter(rows)
+        while chunk := list(islice(remaining, ROWS_PER_REBUILT_FILE)):
+            new_files.add(self._add_file(name, json_lines(chunk)))
+        self._storage.remove(file for file in old_files if file not in new_files)
 
     def _previous_index(self) -> duckdb.DuckDBPyConnection:
         """Return the old index, or an empty one where it cannot be read."""
@@ -141,79 +145,102 @@ class StoreIndex:
 
         Raises:
             InputError: as `query`.
+            MachineError: as `query`.
         """
+        journal_text, files = self._snapshot()
         database = _database()
         try:
-            files = self._load_journals(database)
-            rows = _empty_rows(database).union(database.table("fresh"))
-            if files:
-                # Files of older versions lack columns, those of newer ones have more.
-                named = [str(file) for file in files]
-                rows = rows.union(
-                    _in_column_order(database.read_parquet(named, union_by_name=True))
-                )
-            rows.create_view("all_rows")
-            database.execute(_ROWS_VIEW_SQL)
-        except duckdb.Error as fault:
+            with self._report_damage():
+                rows = _empty_rows(database)
+                if journal_text:
+                    with _relation(database, journal_text) as fresh:
+                        fresh.create("fresh")
+                    rows = rows.union(database.table("fresh"))
+                if files:
+                    # Files of older versions lack columns, those of newer ones have more.
+                    parquet = database.read_parquet(list(map(str, files)), union_by_name=True)
+                    rows = rows.union(_in_column_order(parquet))
+                rows.create_view("all_rows")
+                database.execute(_ROWS_VIEW_SQL)
+        except BaseException:
             database.close()
-            raise _damaged_index_error(self._folder, fault) from fault
+            raise
         return database
 
-    def _load_journals(self, database: duckdb.DuckDBPyConnection) -> list[Path]:
-        """Copy the rows not yet merged into the table `fresh`; return the files of the index.
+    def _snapshot(self) -> tuple[bytes, list[Path]]:
+        """Return the rows not yet merged, and the files of the index.
 
         Batches can merge meanwhile. Journals are listed before files, so that each row is in one
         of the lists; a journal that is missing when it is read is in a file by then.
         """
         while True:
-            journals = sorted((self._store / JOURNALS).glob(f"*{JOURNAL_SUFFIX}"))
-            files = sorted(self._folder.glob("*.parquet"))
-            merged = {path.stem for path in files}
-            unmerged = [path for path in journals if path.stem not in merged]
-            try:
-                not_empty = [path for path in unmerged if path.stat().st_size]
-                # The last line may be incomplete; it is skipped.
-                rows = (
-                    _read_json_lines(database, not_empty, torn=True)
-                    if not_empty
-                    else _empty_rows(database)
-                )
-                rows.create("fresh")
-            except (duckdb.Error, FileNotFoundError):
-                if all(path.exists() for path in unmerged):
-                    raise
-            else:
-                return files
+            names = [name for files in journal_files(self._storage).values() for name in files]
+            files = index_files(self._storage)
+            texts = [self._storage.read(name) for name in names]
+            if None not in texts:
+                break
+        text = b"".join(map(_complete_lines, texts))
+        return text, [self._storage.cached_copy(name) for name in files]
 
-    def _write_journal_rows(self, text: bytes, journal: Path, final: Path) -> None:
-        temporary = journal.with_name(f".{journal.name}.{uuid4().hex}")
-        try:
-            with report_disk_errors(temporary):
-                temporary.write_bytes(text)
-            with _database() as database:
-                self._write_parquet(_read_json_lines(database, [temporary], torn=False), final)
-        finally:
-            temporary.unlink(missing_ok=True)
+    def _add_file(self, batch: str, text: bytes) -> str:
+        """Write rows as a file of the index; return its name."""
+        with _database() as database, self._report_damage(), _relation(database, text) as rows:
+            return self._write_relation(batch, rows)
 
-    def _write_parquet(self, rows: duckdb.DuckDBPyRelation, final: Path) -> None:
-        """Write a file of the index, complete and synced, or not at all."""
-        temporary = final.with_name(f".{final.name}.{uuid4().hex}")
+    def _write_relation(self, batch: str, rows: duckdb.DuckDBPyRelation) -> str:
         try:
-            with report_disk_errors(final):
-                self._folder.mkdir(exist_ok=True)
-                rows.order("board, created").write_parquet(str(temporary), compression="zstd")
-                _fsync_path(temporary)
-                temporary.rename(final)
-                _fsync_path(self._folder)
-        except duckdb.IOException as fault:
+            with tempfile.TemporaryDirectory(prefix="gyrorig-") as folder:
+                path = Path(folder) / "rows.parquet"
+                rows.order("board, created").write_parquet(str(path), compression="zstd")
+                data = path.read_bytes()
+        except (OSError, duckdb.IOException) as fault:
             raise MachineError(
-                f"the index {final} of the store cannot be written ({_one_line(fault)})",
-                "free some disk space for the store",
+                f"the temporary file with rows of the index cannot be written ({_one_line(fault)})",
+                "free some space on the disk for temporary files",
             ) from fault
+        digest = hashlib.sha256(data).hexdigest()[:_DIGEST_CHARS]
+        name = f"{INDEX_FOLDER}/{batch}-{digest}.parquet"
+        self._storage.write_new(name, data)
+        return name
+
+    @contextmanager
+    def _report_damage(self) -> Iterator[None]:
+        """Turn errors of DuckDB into an InputError with the remedy."""
+        try:
+            yield
         except duckdb.Error as fault:
-            raise _damaged_index_error(self._store, fault) from fault
-        finally:
-            temporary.unlink(missing_ok=True)
+            location = self._storage.location
+            raise InputError(
+                f"the index of the store {location} cannot be read ({_one_line(fault)})",
+                "write the index again from the calibrations with `gyrorig store rebuild-index "
+                f"{location}`",
+            ) from fault
+
+
+def index_files(storage: Storage) -> list[str]:
+    """Return the names of the files of the index.
+
+    Raises:
+        MachineError: the store does not answer.
+    """
+    names = (Path(entry.name) for entry in storage.list_files(INDEX_FOLDER))
+    return [str(name) for name in names if name.suffix == ".parquet" and name.name[0] != "."]
+
+
+def _complete_lines(data: bytes | None) -> bytes:
+    """Return a journal up to its last complete line: older versions could leave a partial one."""
+    return data[: data.rfind(b"\n") + 1] if data else b""
+
+
+@contextmanager
+def _relation(database: duckdb.DuckDBPyConnection, text: bytes) -> Iterator[Any]:
+    """Provide JSON lines as a relation."""
+    with tempfile.NamedTemporaryFile(prefix="gyrorig-", suffix=".jsonl") as file:
+        file.write(text)
+        file.flush()
+        yield database.read_json(
+            file.name, columns=sql_columns(), format="newline_delimited", ignore_errors=False
+        )
 
 
 def _database() -> duckdb.DuckDBPyConnection:
@@ -240,29 +267,5 @@ def _in_column_order(rows: duckdb.DuckDBPyRelation) -> duckdb.DuckDBPyRelation:
     )
 
 
-def _read_json_lines(
-    database: duckdb.DuckDBPyConnection, paths: Sequence[Path], *, torn: bool
-) -> duckdb.DuckDBPyRelation:
-    names: Any = [str(path) for path in paths]  # the type stub allows one name only
-    return database.read_json(
-        names, columns=sql_columns(), format="newline_delimited", ignore_errors=torn
-    )
-
-
-def _damaged_index_error(path: Path, fault: duckdb.Error) -> InputError:
-    return InputError(
-        f"the index of the store {path} cannot be read ({_one_line(fault)})",
-        "write the index again from the calibrations with `gyrorig store rebuild-index STORE`",
-    )
-
-
 def _one_line(fault: BaseException) -> str:
     return " ".join(str(fault).split())[:200]
-
-
-def _fsync_path(path: Path) -> None:
-    fd = os.open(path, os.O_RDONLY)
-    try:
-        os.fsync(fd)
-    finally:
-        os.close(fd)

@@ -24,6 +24,7 @@ from gyrorig_solver.calibration import (
     StoredVersion,
     parse_calibration,
 )
+from gyrorig_solver.fleet.store.coordination import exclusive_access
 from gyrorig_solver.fleet.store.index_rows import (
     NEWEST_FIRST_SQL,
     IndexRow,
@@ -31,7 +32,7 @@ from gyrorig_solver.fleet.store.index_rows import (
     job_key,
 )
 from gyrorig_solver.fleet.store.manifest import Signer, remove_manifests, write_manifests
-from gyrorig_solver.fleet.store.store_backend import exclusive_access, open_index
+from gyrorig_solver.fleet.store.store_index import StoreIndex
 from gyrorig_solver.storage import Folder, Storage, StorageEntry, storage_at
 
 LISTED_COLUMNS = ("board", "version", "trust", "created", "start", "sensor", "rig", "uid", "file")
@@ -100,9 +101,7 @@ def newest_versions(
         f"QUALIFY row_number() OVER (PARTITION BY board ORDER BY {NEWEST_FIRST_SQL}) = 1 "
         "ORDER BY board LIMIT ?"
     )
-    return _rows_as_dicts(
-        LISTED_COLUMNS, open_index(storage_at(store)).query(sql, [*values, limit])
-    )
+    return _rows_as_dicts(LISTED_COLUMNS, StoreIndex(store).query(sql, [*values, limit]))
 
 
 def all_versions(
@@ -114,9 +113,7 @@ def all_versions(
         f"SELECT {', '.join(LISTED_COLUMNS)} FROM rows WHERE status = 'ok' AND {where} "  # noqa: S608
         "ORDER BY board, version LIMIT ?"
     )
-    return _rows_as_dicts(
-        LISTED_COLUMNS, open_index(storage_at(store)).query(sql, [*values, limit])
-    )
+    return _rows_as_dicts(LISTED_COLUMNS, StoreIndex(store).query(sql, [*values, limit]))
 
 
 @dataclass(frozen=True, slots=True)
@@ -141,7 +138,7 @@ def versions_by_measurement_time(store: Storage, board: BoardId) -> list[Measure
     sql = "SELECT version, start, config_hash FROM rows WHERE status = 'ok' AND board = ?"
     known = {
         version: (start, config_hash or "")
-        for version, start, config_hash in open_index(store).query(sql, [board])
+        for version, start, config_hash in StoreIndex(store).query(sql, [board])
         if start is not None
     }
     measured: list[MeasuredVersion] = []
@@ -161,7 +158,7 @@ def unsuccessful_work(store: Path | Storage, limit: int) -> list[dict[str, Any]]
         f"SELECT {', '.join(names)} FROM rows WHERE status <> 'ok' "  # noqa: S608
         "ORDER BY created DESC LIMIT ?"
     )
-    return _rows_as_dicts(names, open_index(storage_at(store)).query(sql, [limit]))
+    return _rows_as_dicts(names, StoreIndex(store).query(sql, [limit]))
 
 
 def rebuild_index(store: Path | Storage, signer: Signer | None = None) -> int:
@@ -186,7 +183,7 @@ def rebuild_index(store: Path | Storage, signer: Signer | None = None) -> int:
 
     now = datetime.now(UTC)
     with exclusive_access(storage):
-        open_index(storage).rebuild(counted(), f"{now:%Y%m%dT%H%M%S%fZ}-rebuilt")
+        StoreIndex(storage).rebuild(counted(), f"{now:%Y%m%dT%H%M%S%fZ}-rebuilt")
         remove_manifests(storage)
         write_manifests(storage, signer)
     return row_count

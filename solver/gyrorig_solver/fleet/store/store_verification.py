@@ -14,9 +14,9 @@ from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PublicKey
 
 from gyrorig_protocol.errors import GyrorigError
 from gyrorig_solver.calibration import parse_calibration
-from gyrorig_solver.fleet.store.manifest import index_files, manifest_name, read_manifests
-from gyrorig_solver.fleet.store.store_backend import open_index
+from gyrorig_solver.fleet.store.manifest import manifest_name, read_manifests
 from gyrorig_solver.fleet.store.store_heads import find_rolled_back
+from gyrorig_solver.fleet.store.store_index import StoreIndex, index_files
 from gyrorig_solver.fleet.store.store_queries import (
     is_version_file,
     list_documents,
@@ -77,7 +77,7 @@ def verify(
     """
     open_existing_store(store)
     storage = storage_at(store)
-    index = open_index(storage)
+    index = StoreIndex(storage)
     sql = "SELECT file, file_sha256, beside FROM rows WHERE status = 'ok'"
     indexed = _indexed_digests(index.query(sql))
     manifest_digests, faults = _read_manifest_digests(storage, key)
