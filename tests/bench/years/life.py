@@ -59,7 +59,7 @@ boards:
 emulator: {command_time_ms: 5.0}
 schedule:
   - {name: nightly, program: nightly.yaml, at_utc: "02:00"}
-  - {name: often, program: often.yaml, every_h: 8.0}
+  - {name: often, program: often.yaml, every_h: 12.0}
 service: {board_patience_s: 5.0, part_s: 10.0, reserve_mb: 10, keep_days: 10, keep_mb: 12}
 """
 
@@ -207,7 +207,7 @@ class Life:
         self.housekeeping = Housekeeping(
             self.state, lambda: self._config.service, self._valid_utc_s, log
         )
-        session_runner.Recorder = partial(Recorder, disk=self.disk)  # type: ignore[attr-defined]
+        session_runner.Recorder = partial(Recorder, disk=self.disk)  # type: ignore[assignment,attr-defined]
         self.context = ServiceContext(
             state_folder=self.state,
             queue=JobQueue(self.state.queue),
