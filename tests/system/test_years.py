@@ -9,7 +9,7 @@ from tests.bench import bench_years as years
 
 
 def test_three_days_lose_nothing(tmp_path: Path) -> None:
-    plans = [
+    plans: list[list[years.Event]] = [
         [years.fill_disk, years.put_nonsense],
         [years.set_clock_back, years.suspend],
         [years.kill_in_session, years.miss_board],
