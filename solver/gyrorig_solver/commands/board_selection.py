@@ -1,11 +1,14 @@
-"""Which boards of recordings a command works on."""
+"""Reading a recording within limits, and which boards of recordings a command works on."""
 
 from collections.abc import Sequence
+from pathlib import Path
 
 from gyrorig_protocol.errors import InputError
 from gyrorig_protocol.identity import BoardId
+from gyrorig_protocol.recording.reader import read_recording
 from gyrorig_protocol.recording.recording import Recording
 from gyrorig_protocol.suggestions import list_closest
+from gyrorig_solver.storage import limit_input, size_of_inputs
 
 
 def select_boards(recording: Recording, wanted: str | None) -> tuple[BoardId, ...]:
@@ -40,3 +43,13 @@ def recordings_by_board(
             if wanted is None or board == wanted:
                 by_board.setdefault(board, []).append(recording)
     return by_board
+
+
+def read_within_limits(path: Path) -> Recording:
+    """Return a recording, read with the memory and the time that its size permits.
+
+    Raises:
+        InputError: it cannot be read, or needs more.
+    """
+    with limit_input(path.name, size_of_inputs([path])):
+        return read_recording(path)

@@ -7,8 +7,7 @@ from typing import Any
 import click
 
 from gyrorig_protocol.errors import GyrorigError, UsageError
-from gyrorig_protocol.recording.reader import read_recording
-from gyrorig_solver.commands.board_selection import recordings_by_board
+from gyrorig_solver.commands.board_selection import read_within_limits, recordings_by_board
 from gyrorig_solver.commands.input_failures import InputFailures, read_with_board
 from gyrorig_solver.commands.terminal import (
     NOT_IDENTIFIABLE,
@@ -106,7 +105,7 @@ def explain_command(
     unit = None if rig_path is None else load_rig(rig_path).unit
     if next_program is not None:
         require_new_path(next_program, "--next-program")
-    held_out_recording = None if held_out is None else read_recording(held_out)
+    held_out_recording = None if held_out is None else read_within_limits(held_out)
     failures = InputFailures()
     usable = read_with_board(terminal, recordings, board, failures)
     written: list[WrittenFindings] = []

@@ -1,13 +1,12 @@
 """Reading the recordings of a command, and the inputs that fail while the others go on."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from gyrorig_protocol.errors import GyrorigError
-from gyrorig_protocol.recording.reader import read_recording
 from gyrorig_protocol.recording.recording import Recording
-from gyrorig_solver.commands.board_selection import select_boards
+from gyrorig_solver.commands.board_selection import read_within_limits, select_boards
 from gyrorig_solver.commands.terminal import Terminal
 
 
@@ -36,14 +35,13 @@ def read_with_board(
     paths: Sequence[Path],
     board: str | None,
     failures: InputFailures,
-    read: Callable[[Path], Recording] = read_recording,
 ) -> list[Recording]:
     """Return the recordings that can be read and contain the wanted board."""
     recordings: list[Recording] = []
     for path in paths:
         terminal.print_progress(f"reading {path.name}")
         try:
-            recording = read(path)
+            recording = read_within_limits(path)
             select_boards(recording, board)
             recordings.append(recording)
         except GyrorigError as fault:

@@ -4,9 +4,9 @@ from pathlib import Path
 
 import click
 
-from gyrorig_protocol.recording.reader import read_recording
 from gyrorig_solver.apply import read_calibration
 from gyrorig_solver.calibration import find_profile
+from gyrorig_solver.commands.board_selection import read_within_limits
 from gyrorig_solver.commands.terminal import Terminal, json_option, output_option
 from gyrorig_solver.pipeline.solve_board import rebuild_report_data
 from gyrorig_solver.report import ReportData, render_calibration
@@ -34,7 +34,7 @@ def report_command(
     document, _ = read_calibration(calibration)
     if recordings:
         terminal.print_progress(f"drawing {document.board.id} from {len(recordings)} recordings")
-        data = rebuild_report_data(document, [read_recording(path) for path in recordings])
+        data = rebuild_report_data(document, [read_within_limits(path) for path in recordings])
     else:
         data = ReportData(document, profile=find_profile(document.board.sensor))
     page = out or calibration.with_suffix(".report.html")

@@ -9,7 +9,6 @@ import click
 
 from gyrorig_protocol.errors import GyrorigError, UsageError
 from gyrorig_protocol.identity import BoardId
-from gyrorig_protocol.recording.reader import read_recording
 from gyrorig_protocol.recording.recording import Recording
 from gyrorig_solver.calibration import CalibrationStore, calibration_as_mapping
 from gyrorig_solver.calibration.calibration_summary import calibration_summary
@@ -35,7 +34,7 @@ from gyrorig_solver.pipeline import (
     fit_together,
     solve_and_store,
 )
-from gyrorig_solver.storage import Folder, limit_fit_memory, limit_input, size_of_inputs
+from gyrorig_solver.storage import Folder, limit_fit_memory, size_of_inputs
 from gyrorig_solver.uncertainty import UncertaintySettings, read_settings
 
 
@@ -103,7 +102,7 @@ def solve_command(
         allow_contradiction,
     )
     failures = InputFailures()
-    read = read_with_board(terminal, recordings, board, failures, _read_limited)
+    read = read_with_board(terminal, recordings, board, failures)
     name = recordings[0].name if len(recordings) == 1 else f"{len(recordings)} recordings"
     messages = sum(recording.message_count for recording in read)
     with limit_fit_memory(name, size_of_inputs(recordings), messages):
@@ -177,11 +176,6 @@ def _solve_recordings(
     boards = [_result_json(result) for result in solved]
     terminal.print_json({"boards": boards, "failed": failures.rows, "exit_code": code})
     return code
-
-
-def _read_limited(path: Path) -> Recording:
-    with limit_input(path.name, size_of_inputs([path])):
-        return read_recording(path)
 
 
 def _requested_causes(extend: str, method: str) -> tuple[str, ...]:

@@ -7,7 +7,7 @@ import click
 
 from gyrorig_protocol.atomic_files import write_atomically
 from gyrorig_protocol.documents import finite_values
-from gyrorig_protocol.recording.reader import read_recording
+from gyrorig_solver.commands.board_selection import read_within_limits
 from gyrorig_solver.commands.terminal import PARTIAL, Terminal, board_option, json_option
 from gyrorig_solver.twin_check import (
     DEFAULT_DRAWS,
@@ -51,7 +51,7 @@ def twin_check_command(
     Example:
       gyrorig twin-check tuesday.mcap twin
     """
-    measured = [read_recording(path) for path in recordings]
+    measured = [read_within_limits(path) for path in recordings]
     check = check_twin_folder(
         folder,
         measured,

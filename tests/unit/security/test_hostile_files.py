@@ -30,6 +30,7 @@ from gyrorig_protocol.recording.mcap.mcap_summary import read_summary
 from gyrorig_protocol.recording.reader import read_recording
 from gyrorig_protocol.recording.recording import Recording
 from gyrorig_solver import cli
+from gyrorig_solver.commands import board_selection
 from gyrorig_solver.data.samples import load_samples
 from gyrorig_solver.estimate.series import build_series
 from gyrorig_solver.fleet.jobs import run_batch, session_job, spool_scanner
@@ -188,6 +189,24 @@ def test_an_honest_recording_is_solved_far_within_the_limit(
     allowed_bytes = fit_memory_bound_bytes(file.stat().st_size, count)
     monkeypatch.setenv("GYRORIG_MEMORY_MB", str(int(allowed_bytes / MARGIN / 1e6)))
     assert cli.run(["solve", str(file), "--out", str(tmp_path / "out")]) == 0
+
+
+@pytest.mark.parametrize("words", [["explain"], ["twin"], ["twin-check"]])
+def test_other_commands_read_within_the_same_limits(
+    words: list[str],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    def exhaust(_path: Path) -> None:
+        raise MemoryError
+
+    monkeypatch.setattr(board_selection, "read_recording", exhaust)
+    path = tmp_path / "a.mcap"
+    path.write_bytes(b"x")
+    folder = [str(tmp_path)] if words == ["twin-check"] else []
+    assert cli.run([*words, str(path), *folder]) == 3
+    assert "a.mcap needs more than 400 MB of memory" in capsys.readouterr().err
 
 
 def test_a_person_can_allow_more(monkeypatch: pytest.MonkeyPatch) -> None:
