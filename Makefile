@@ -11,10 +11,10 @@ KILLS  ?= 200
 SEED   ?=
 FUZZ   ?= fuzz
 SECONDS ?= 180
-PIP    := $(VENV)/bin/python -m pip install --disable-pip-version-check --progress-bar on -c constraints.txt
+LOCKED := $(VENV)/bin/python release/locked_install.py --python $(VENV)/bin/python --editable
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test test-long check docs pictures first-steps test-docs test-pages test-packages goldens goldens-update bench hidden fuzz kill test-qemu install-service clean
+.PHONY: help demo test test-long check docs pictures first-steps test-docs test-pages test-packages goldens goldens-update bench hidden fuzz kill test-qemu install-service deb wheels lock third-party clean
 
 help:  ## list the targets
 	@echo "Gyrorig calibrates gyroscopes with a pan-tilt unit. Targets:"
@@ -57,7 +57,7 @@ test-pages: $(VENV)/.dev  ## test pages in a browser, and make the pages of meas
 test-docs: $(VENV)/.dev  ## run every command that the documents print
 	@$(VENV)/bin/python tests/docs/run.py
 
-test-packages: $(VENV)/.dev  ## install the wheel with each extra in a separate environment, on every Python from 3.11; minutes
+test-packages: $(VENV)/.packages  ## install the wheel with each extra in a separate environment, on every Python from 3.11; minutes
 	@$(VENV)/bin/python tests/packages/install.py
 
 goldens: $(VENV)/.dev  ## compare what the programs compute with the golden set; minutes (TREE=DIR tests another tree)
@@ -76,7 +76,7 @@ hidden: $(VENV)/.dev  ## score the search on hidden effects: hours (less: LESS="
 	@$(VENV)/bin/python tests/hidden/long_tier.py --out $(HIDDEN) $(LESS)
 
 fuzz: $(VENV)/.dev  ## fuzz every parser, SECONDS=180 each, and millions of damaged frames
-	@$(VENV)/bin/python -m pip install -q --disable-pip-version-check -c constraints.txt -e ".[fuzz]" || \
+	@$(LOCKED) --extras fuzz || \
 		echo "make fuzz: atheris is not available for this Python. Inputs are random only." >&2
 	@mkdir -p $(FUZZ)
 	@nice -n 10 $(VENV)/bin/python tests/fuzz/inject.py --out $(FUZZ)/inject.json
@@ -91,6 +91,18 @@ test-qemu: $(VENV)/.dev  ## as root: test the service in a virtual machine, with
 install-service:  ## as root: install the daemon under /opt with units, rules and user (ARGS="--root DIR")
 	@$(PYTHON) systemd/install.py $(ARGS)
 
+deb:  ## build the Debian package dist/gyrorig_*.deb for this system's Python (ARGS="--wheels DIR")
+	@$(PYTHON) release/deb.py $(ARGS)
+
+wheels: $(VENV)/.dev  ## download the packages of the service into wheels/ for a computer without a network (ARGS="--arm64 --minor 11")
+	@$(VENV)/bin/python release/locked_install.py --download wheels --extras solver,fleet $(ARGS)
+
+lock: $(VENV)/.packages  ## write constraints.txt again (ARGS="--upgrade NAME"), after a change of pyproject.toml
+	@$(VENV)/bin/python release/lock.py $(ARGS)
+
+third-party: $(VENV)/.dev  ## write THIRD-PARTY.md again, after a change of constraints.txt
+	@$(VENV)/bin/python release/third_party.py
+
 clean:  ## remove the virtual environment, caches and the demo's output
 	rm -rf $(VENV) $(OUT) .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
 
@@ -102,12 +114,16 @@ $(VENV)/.python:
 	@$(PYTHON) -m venv $(VENV)
 	@touch $@
 
-$(VENV)/.solver: $(VENV)/.python pyproject.toml constraints.txt
+$(VENV)/.solver: $(VENV)/.python pyproject.toml constraints.txt release/locked_install.py
 	@echo "Installing gyrorig and its dependencies"
-	@$(PIP) -e ".[solver]"
+	@$(LOCKED) --extras solver
 	@touch $@
 
-$(VENV)/.dev: $(VENV)/.python pyproject.toml constraints.txt
+$(VENV)/.dev: $(VENV)/.python pyproject.toml constraints.txt release/locked_install.py
 	@echo "Installing gyrorig, its dependencies and those of its tests"
-	@$(PIP) -e ".[solver,fleet,ros,tables,live,docs,dev]"
+	@$(LOCKED) --extras solver,fleet,ros,tables,live,docs,dev
 	@touch $@ $(VENV)/.solver
+
+$(VENV)/.packages: $(VENV)/.dev
+	@$(LOCKED) --extras packages
+	@touch $@

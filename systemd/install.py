@@ -6,7 +6,8 @@ folder. It uses only the standard library, because it runs before anything is in
 
 Theory of operation. The digest of each written file is stored in PREFIX/installed.json. A file with
 another digest was changed by a person: it is kept, and the new version is written next to it as
-FILE.new. The configuration of the rig is never replaced.
+FILE.new. The configuration of the rig is never replaced. `release/locked_install.py` installs the
+packages and compares each with its digest in constraints.txt.
 """
 
 # ruff: noqa: S603, S607, T201 - it runs as root with root's PATH, and prints each change
@@ -17,12 +18,15 @@ import os
 import shutil
 import subprocess
 import sys
-import tempfile
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
 CHECKOUT = Path(__file__).resolve().parents[1]
+sys.path.insert(0, str(CHECKOUT / "release"))
+
+from locked_install import CannotInstallError, install_locked, run  # noqa: E402
+
 FILES = CHECKOUT / "systemd"
 PREFIX = Path("/opt/gyrorig")
 CONFIG = Path("/etc/gyrorig")
@@ -35,15 +39,12 @@ FOLDERS = {
     "tmpfiles.d": Path("/etc/tmpfiles.d"),
 }
 CAN_FOLDERS = {"network": Path("/etc/systemd/network"), "sysctl.d": Path("/etc/sysctl.d")}
-SOURCES = ("pyproject.toml", "constraints.txt", "README.md", "LICENSE")
+SOURCES = ("pyproject.toml", "constraints.txt", "README.md", "LICENSE", "THIRD-PARTY.md")
 PACKAGES = ("daemon", "solver", "firmware_protocol")
 DATA = ("config", "share")  # data files of the wheel
+EXTRAS = ("solver", "fleet")
 COMMANDS = ("gyrorigd", "gyrorig")
 SERVICE, TIMER = "gyrorigd.service", "gyrorig-nightly.timer"
-
-
-class CannotInstallError(Exception):
-    """The installation cannot continue; the text contains the remedy."""
 
 
 @dataclass(slots=True)
@@ -118,21 +119,6 @@ def write(path: Path, content: bytes) -> None:
     temporary.replace(path)
 
 
-def run(*command: str | Path, env: dict[str, str] | None = None) -> None:
-    """Run a program that must succeed.
-
-    Raises:
-        CannotInstallError: it failed; the text contains the end of its output.
-    """
-    completed = subprocess.run(
-        [str(word) for word in command],
-        stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, check=False, env=env,
-    )  # fmt: skip
-    if completed.returncode != 0:
-        words = " ".join(str(word) for word in command[:3])
-        raise CannotInstallError(f"{words} failed: {completed.stdout.strip()[-600:]}")
-
-
 def install_programs(target: Target, python: Path, wheels: Path | None) -> None:
     """Create or renew the virtual environment with the programs.
 
@@ -149,7 +135,7 @@ def install_programs(target: Target, python: Path, wheels: Path | None) -> None:
     fresh, old = prefix.with_name(prefix.name + ".new"), prefix.with_name(prefix.name + ".old")
     shutil.rmtree(old, ignore_errors=True)
     run(python, "-I", "-m", "venv", "--clear", fresh)
-    fill(fresh, wheels)
+    install_locked(fresh / "bin" / "python", EXTRAS, wheels=wheels)
     for script in (fresh / "bin").iterdir():  # they contain the path at which they were created
         if script.is_file() and not script.is_symlink():  # a package can leave a folder there
             text = script.read_bytes()
@@ -163,23 +149,6 @@ def install_programs(target: Target, python: Path, wheels: Path | None) -> None:
     fresh.rename(prefix)
     shutil.rmtree(old, ignore_errors=True)
     target.report(f"{PREFIX}: a virtual environment of {python} with gyrorig and its dependencies")
-
-
-def fill(fresh: Path, wheels: Path | None) -> None:
-    """Install gyrorig and its dependencies into a new virtual environment."""
-    offline = ["--no-index", "--find-links", str(wheels)] if wheels else []
-    with tempfile.TemporaryDirectory() as copied:  # a build writes into its source folder
-        source = Path(copied)
-        for name in SOURCES:
-            shutil.copy(CHECKOUT / name, source / name)
-        for name in (*PACKAGES, *DATA):
-            ignored = shutil.ignore_patterns("__pycache__", "*.mcap")
-            shutil.copytree(CHECKOUT / name, source / name, ignore=ignored)
-        run(
-            fresh / "bin" / "python", "-I", "-m", "pip", "install", "--disable-pip-version-check",
-            "--no-cache-dir", *offline, "-c", CHECKOUT / "constraints.txt",
-            f"{source}[solver,fleet]",
-        )  # fmt: skip
 
 
 def check_python(python: Path) -> None:

@@ -18,7 +18,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
-MINORS = (11, 12, 13)
+sys.path.insert(0, str(ROOT / "release"))
+
+from locked_install import CannotInstallError, install_locked  # noqa: E402
+
+MINORS = (11, 12, 13, 14)
 EXTRAS = ("", "solver", "fleet", "live", "docs")
 SHORT = """schema: gyrorig/program/1
 name: short
@@ -60,29 +64,22 @@ def pythons(minors: Sequence[int]) -> Iterator[Path]:
             yield Path(on_path)
 
 
-def outcome(python: Path, extra: str, wheel: Path, folder: Path) -> Outcome:
+def outcome(python: Path, extra: str, folder: Path) -> Outcome:
     """Install and run; never raises for what the wheel does wrong."""
     begun = time.monotonic()
     name = subprocess.run([python, "--version"], capture_output=True, text=True, check=True).stdout
     problem, count = "", 0
     try:
         subprocess.run([python, "-m", "venv", folder], check=True, capture_output=True)
-        pip: list[str | Path] = [
-            folder / "bin" / "python",
-            "-m",
-            "pip",
-            "--disable-pip-version-check",
-        ]
-        asked = f"{wheel}[{extra}]" if extra else str(wheel)
-        constraints = ["-c", str(ROOT / "constraints.txt")]
-        subprocess.run(
-            [*pip, "install", "-q", *constraints, asked], check=True, capture_output=True, text=True
-        )
+        install_locked(folder / "bin" / "python", [extra] if extra else [])
         listed = subprocess.run(
-            [*pip, "list", "--format", "json"], check=True, capture_output=True, text=True
-        )
+            [folder / "bin" / "python", "-m", "pip", "list", "--format", "json"],
+            check=True, capture_output=True, text=True,
+        )  # fmt: skip
         count = len(json.loads(listed.stdout))
         _use(folder, extra)
+    except CannotInstallError as fault:
+        problem = str(fault)
     except subprocess.CalledProcessError as fault:
         problem = f"{' '.join(map(str, fault.cmd))[-80:]}: {str(fault.stderr).strip()[-300:]}"
     return Outcome(name.strip(), extra or "(none)", problem, time.monotonic() - begun, count)
@@ -135,16 +132,10 @@ def main() -> int:
     arguments = parser.parse_args()
     missed = 0
     with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
-        subprocess.run(
-            [sys.executable, "-m", "hatchling", "build", "-t", "wheel", "-d", folder],
-            cwd=ROOT, check=True, capture_output=True,
-        )  # fmt: skip
-        (wheel,) = folder.glob("*.whl")
         for python in pythons(arguments.minor or MINORS):
             for extra in arguments.extra or EXTRAS:
-                place = folder / "venv"
-                result = outcome(python, extra, wheel, place)
+                place = Path(name) / "venv"
+                result = outcome(python, extra, place)
                 shutil.rmtree(place, ignore_errors=True)
                 missed += bool(result.problem)
                 print(

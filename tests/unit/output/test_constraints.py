@@ -12,7 +12,7 @@ ROOT = Path(__file__).parents[3]
 
 def pinned() -> dict[str, str]:
     lines = (ROOT / "constraints.txt").read_text().splitlines()
-    pins = [line.split("==") for line in lines if line and not line.startswith("#")]
+    pins = [line.split()[0].split("==") for line in lines if not line.startswith("#")]
     return {canonicalize_name(name): version for name, version in pins}
 
 
@@ -42,9 +42,10 @@ def needed() -> dict[str, str]:
     return versions
 
 
-def test_only_names_and_versions_are_in_the_file() -> None:
+def test_every_line_is_a_version_and_digests() -> None:
+    pin = r"[a-z0-9._-]+==[A-Za-z0-9.]+( --hash=sha256:[0-9a-f]{64})+"
     for line in (ROOT / "constraints.txt").read_text().splitlines():
-        assert line.startswith("#") or re.fullmatch(r"[A-Za-z0-9._-]+==[A-Za-z0-9.]+", line), line
+        assert line.startswith("#") or re.fullmatch(pin, line), line
 
 
 def test_everything_needed_is_pinned_to_what_runs_here() -> None:
