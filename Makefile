@@ -28,7 +28,7 @@ demo: $(VENV)/.solver  ## record, solve and compare on an emulated rig; writes d
 
 # Three workers on two cores: tests in real time mostly wait.
 test: $(VENV)/.dev  ## run the tests; test-long, test-pages, test-docs and test-packages have the rest
-	@$(VENV)/bin/python -m pytest -q -rs -n 3 --dist loadfile --no-loadscope-reorder -m "not bench and not pages and not long"
+	@$(VENV)/bin/python -m pytest -q -rs -n 3 --dist loadfile --no-loadscope-reorder -m "not bench and not pages and not long and not packages"
 
 test-long: $(VENV)/.dev  ## run the long searches over several boards or recordings; minutes
 	@$(VENV)/bin/python -m pytest -q -rs -n 2 --dist loadfile -m long
@@ -58,6 +58,7 @@ test-docs: $(VENV)/.dev  ## run every command that the documents print
 	@$(VENV)/bin/python tests/docs/run.py
 
 test-packages: $(VENV)/.packages  ## install the wheel with each extra in a separate environment, on every Python from 3.11; minutes
+	@$(VENV)/bin/python -m pytest -q -rs -m packages tests/packages
 	@$(VENV)/bin/python tests/packages/install.py
 
 goldens: $(VENV)/.dev  ## compare what the programs compute with the golden set; minutes (TREE=DIR tests another tree)

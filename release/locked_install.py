@@ -100,8 +100,10 @@ def install_locked(
         tool = folder / "hatchling"
         run(*locked, "-q", "--target", tool, *build["requires"], quiet=quiet)
         target = "wheel:editable" if editable else "wheel"
-        command = [python, "-P", "-m", "hatchling", "build", "-t", target, "-d", folder]
-        run(*command, cwd=source, env={"PYTHONPATH": str(tool)})
+        run(
+            python, "-P", "-m", "hatchling", "build", "-t", target, "-d", folder,
+            cwd=source, env={"PYTHONPATH": str(tool)},
+        )  # fmt: skip
         (wheel,) = folder.glob("*.whl")
         run(*pip, "--no-index", "--no-deps", "--force-reinstall", wheel)
 

@@ -72,7 +72,7 @@ def in_motion(rig: RigOnPtys) -> None:
     """Hand in a long move and wait until the unit turns."""
     program = OUT / "far.yaml"
     program.write_text(FAR)
-    say("/usr/local/bin/gyrorigd", "enqueue", "--program", str(program))
+    say("gyrorigd", "enqueue", "--program", str(program))
     until(lambda: rig.turns)
     began = written()
     until(lambda: written() > began + CHUNK_BYTES)

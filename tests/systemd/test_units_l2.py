@@ -24,7 +24,7 @@ pytestmark = pytest.mark.timeout(
     TIMEOUT_S + 20
 )  # for the container; the tests themselves only look
 
-_OVERLAY = """
+OVERLAY = """
 set -e
 mount -t tmpfs tmpfs {work}
 mkdir {work}/up {work}/wk {work}/m
@@ -39,14 +39,14 @@ for name in payload supervisor init.scope; do
   find /sys/fs/cgroup -depth -type d -path "*/$name*" -exec rmdir {{}} + 2>/dev/null || true
 done
 """
-_DRIVER = """
+DRIVER = """
 [Unit]
 Description=The test's driver
 After=multi-user.target
 [Service]
 Type=simple
 Environment=OPENBLAS_NUM_THREADS=1 PYTHONDONTWRITEBYTECODE=1
-ExecStart=/opt/gyrorig/bin/python /repo/tests/systemd/l2_driver.py
+ExecStart={python} {driver}
 StandardOutput=append:/out/driver.log
 StandardError=append:/out/driver.log
 """
@@ -78,41 +78,49 @@ def why_not() -> str:
     return ""
 
 
-def programs(made: Path) -> None:
-    """/opt/gyrorig, its interpreter the system's, its packages those of this test."""
-    prefix = made / "opt" / "gyrorig"
+def programs(made: Path, name: str = "gyrorig") -> None:
+    """/opt/NAME, its interpreter the system's, its packages those of this test."""
+    prefix = made / "opt" / name
     packages = prefix / "lib" / f"python3.{sys.version_info[1]}" / "site-packages"
     (prefix / "bin").mkdir(parents=True)
     packages.mkdir(parents=True)
     (prefix / "bin" / "python").symlink_to(SYSTEM_PYTHON)
     (prefix / "pyvenv.cfg").write_text("home = /usr/bin\ninclude-system-site-packages = false\n")
-    paths = [Path("/repo") / name for name in ("daemon", "solver", "firmware_protocol")]
+    paths = [Path("/repo") / folder for folder in ("daemon", "solver", "firmware_protocol")]
     paths.append(
         Path("/repo") / PACKAGES.relative_to(ROOT) if PACKAGES.is_relative_to(ROOT) else PACKAGES
     )
     (packages / "gyrorig.pth").write_text("".join(f"{path}\n" for path in paths))
-    for name, module in (("gyrorigd", "gyrorig_daemon"), ("gyrorig", "gyrorig_solver")):
-        script = prefix / "bin" / name
+    for command, module in (("gyrorigd", "gyrorig_daemon"), ("gyrorig", "gyrorig_solver")):
+        script = prefix / "bin" / command
         script.write_text(_PROGRAM.format(module=module))
         script.chmod(0o755)
 
 
-@pytest.fixture(scope="module")
-def observed(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
+def results_of_container(
+    folder: Path, made: Path, python: str, driver: str, limit_s: int = TIMEOUT_S
+) -> dict[str, Any]:
+    """Boot a container, let a driver run in it, and return what it has found.
+
+    Args:
+        folder: a new folder.
+        made: the files that the container has beside those of this computer.
+        python: the interpreter of the driver.
+        driver: the path of the driver, inside.
+        limit_s: when it is ended.
+    """
     if why := why_not():
         pytest.skip(why)
-    folder = tmp_path_factory.mktemp("l2")
-    made, out, work = folder / "made", folder / "out", folder / "work"
-    out.mkdir()
+    out, work = folder / "out", folder / "work"
+    out.mkdir(exist_ok=True)
     out.chmod(0o777)
     work.mkdir()
-    programs(made)
     units = made / "etc" / "systemd" / "system"
     (units / "multi-user.target.wants").mkdir(parents=True)
-    (units / "driver.service").write_text(_DRIVER)
+    (units / "driver.service").write_text(DRIVER.format(python=python, driver=driver))
     (units / "multi-user.target.wants" / "driver.service").symlink_to("../driver.service")
-    script = _OVERLAY.format(
-        work=work, made=made, out=out, repo=ROOT, limit=TIMEOUT_S, pid=os.getpid()
+    script = OVERLAY.format(
+        work=work, made=made, out=out, repo=ROOT, limit=limit_s, pid=os.getpid()
     )
     ended = subprocess.run(
         ["unshare", "--mount", "--propagation", "private", "bash", "-c", script],
@@ -126,6 +134,15 @@ def observed(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
         pytest.fail(f"the driver said nothing: {(out / 'driver.log').read_text()}\n{boot[-1500:]}")
     loaded: dict[str, Any] = json.loads(results.read_text())
     return loaded
+
+
+@pytest.fixture(scope="module")
+def observed(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
+    folder = tmp_path_factory.mktemp("l2")
+    programs(folder / "made")
+    return results_of_container(
+        folder, folder / "made", "/opt/gyrorig/bin/python", "/repo/tests/systemd/l2_driver.py"
+    )
 
 
 def test_nothing_went_wrong_inside(observed: dict[str, Any]) -> None:
