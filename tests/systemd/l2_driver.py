@@ -117,6 +117,8 @@ def ready(rig: RigOnPtys) -> dict[str, Any]:
         "active": show(SERVICE, "ActiveState"),
         "halted": rig.halts > halts and not rig.turns,
         "user": say("ps", "-o", "user=", "-p", pid),
+        "groups": Path(f"/proc/{pid}/status").read_text().split("Groups:")[1].split("\n")[0],
+        "dialout": say("getent", "group", "dialout").split(":")[2],
         "socket": say("stat", "-c", "%A %U %G", str(SOCKET)),
         "socket_folder": say("stat", "-c", "%A %U %G", str(SOCKET.parent)),
         "metrics": say("stat", "-c", "%A %U %G", str(METRICS)),
