@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from gyrorig_protocol.recording.encoding.cdr_codec import ENCAPSULATION
-from gyrorig_protocol.recording.encoding.cdr_layout import HEADER_BYTES, PayloadLayout
+from gyrorig_protocol.recording.encoding.message_layouts import HEADER_BYTES, PayloadLayout
 from gyrorig_protocol.recording.mcap.chunk_reader import RECORD_BYTES, Offsets, gather_records
 from gyrorig_protocol.recording.mcap.record_cursor import Buffer
 

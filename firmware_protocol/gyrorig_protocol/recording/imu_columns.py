@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from gyrorig_protocol.recording.channel_arrays import array_dtype, split_valid_records
 from gyrorig_protocol.recording.encoding.cdr_codec import NS_PER_S
-from gyrorig_protocol.recording.encoding.cdr_layout import PayloadLayout
+from gyrorig_protocol.recording.encoding.message_layouts import PayloadLayout
 from gyrorig_protocol.recording.mcap.chunk_reader import RECORD_BYTES, Offsets
 from gyrorig_protocol.recording.mcap.record_cursor import Buffer
 

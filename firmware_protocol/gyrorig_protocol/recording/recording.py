@@ -26,8 +26,7 @@ from gyrorig_protocol.recording.clock_messages import (
     HostClock,
     clock_ping_topic,
 )
-from gyrorig_protocol.recording.encoding.cdr_layout import derive_fixed_layout
-from gyrorig_protocol.recording.encoding.message_schemas import SCHEMAS
+from gyrorig_protocol.recording.encoding.message_layouts import FIXED_LAYOUTS
 from gyrorig_protocol.recording.imu_columns import (
     SOLVER_FIELDS,
     GrowingColumns,
@@ -388,8 +387,7 @@ class Recording:
 
     def _read_array(self, topic: str, message_type: type[Message]) -> RecordArray:
         if topic not in self.topics:
-            layout = derive_fixed_layout(message_type.TYPE, SCHEMAS[message_type.TYPE])
-            return np.empty(0, array_dtype(cast(Any, layout)))
+            return np.empty(0, array_dtype(FIXED_LAYOUTS[message_type.TYPE]))
         self._check_type(topic, message_type)
         return self.array(topic)
 

@@ -19,9 +19,7 @@ from gyrorig_protocol.recording.channel_arrays import (
     StoredMessage,
     VariableSizeChannel,
 )
-from gyrorig_protocol.recording.encoding.cdr_layout import derive_fixed_layout
-from gyrorig_protocol.recording.encoding.message_schemas import SCHEMAS
-from gyrorig_protocol.recording.encoding.ros2msg import have_same_fields
+from gyrorig_protocol.recording.encoding.message_layouts import FIXED_LAYOUTS, has_fields_of_format
 from gyrorig_protocol.recording.imu_columns import SOLVER_FIELDS, ImuColumnsChannel
 from gyrorig_protocol.recording.mcap.chunk_reader import (
     MAX_UNPACKED_BYTES,
@@ -52,7 +50,7 @@ MIN_UNPACKED_LIMIT_BYTES = 64 << 20
 # Messages with text are Python objects of about 450 bytes each.
 MIN_TEXT_MESSAGE_LIMIT = 100_000
 FILE_BYTES_PER_TEXT_MESSAGE = 30
-MAX_FOREIGN_TYPES = 64  # types of messages that recording format 1 does not define
+MAX_UNREAD_NOTES = 64  # for topics that recording format 1 does not define
 MAX_GROUP_BYTES = 1 << 19  # of unpacked chunks read together; they fit into the processor's cache
 
 
@@ -123,7 +121,7 @@ class TopicCollector:
     _expected_counts: Counter[int] = field(default_factory=Counter)
     _unpacked_bytes: int = 0  # upper limit over all chunks
     _text_messages: int = 0
-    _foreign_types: set[tuple[str, bytes]] = field(default_factory=set)
+    _unread_topics: int = 0
     _decompressor: ChunkDecompressor = field(default_factory=ChunkDecompressor)
 
     def read_all(self) -> None:
@@ -260,70 +258,44 @@ class TopicCollector:
             channel.schema_id
         )
         if channel.encoding != "cdr" or schema is None or schema.encoding != "ros2msg":
-            self.scan.notes.append(
-                f"the topic {channel.topic!r} is not read, because it is not CDR with a "
-                "ros2msg schema"
-            )
-            return _ChannelStore(channel.topic, "", None)
+            return self._leave_unread(channel, "", "it is not CDR with a ros2msg schema")
         return self._open_typed_channel(number, channel, schema)
 
     def _open_typed_channel(
         self, number: int, channel: ChannelDeclaration, schema: SchemaDeclaration
     ) -> _ChannelStore:
-        if self.only_topic not in (None, channel.topic) or self._has_too_many_types(schema):
+        if self.only_topic not in (None, channel.topic):
             return _ChannelStore(channel.topic, schema.name, None)
-        try:
-            text = schema.data.decode()
-            format_text = SCHEMAS.get(schema.name)
-            if format_text is not None and not have_same_fields(schema.name, text, format_text):
-                raise InputError(
-                    f"the message type {schema.name} does not have the fields that recording "
-                    "format 1 defines",
-                    _FOREIGN_FILE_REMEDY,
-                )
-            layout = derive_fixed_layout(schema.name, text)
-        except (UnicodeDecodeError, InputError) as error:
-            reason = error.problem if isinstance(error, InputError) else "its schema is not text"
-            if schema.name in SCHEMAS or schema.name.startswith("gyrorig_msgs/"):
-                raise InputError(
-                    f"in {self.path}, the topic {channel.topic!r} is invalid ({reason})",
-                    _FOREIGN_FILE_REMEDY,
-                ) from error
-            self.scan.notes.append(f"the topic {channel.topic!r} is not read, because {reason}")
-            return _ChannelStore(channel.topic, schema.name, None)
-        if layout is not None:
-            # An index can have any count; its messages cannot have more bytes than the chunks.
-            expected = min(
-                self._expected_counts[number],
-                self._unpacked_bytes // (RECORD_BYTES + layout.size_bytes),
-            )
-            if self.field_names and schema.name == ImuRaw.TYPE:
-                columns = ImuColumnsChannel(layout, expected, self.field_names)
-                return _ChannelStore(channel.topic, schema.name, columns)
-            return _ChannelStore(channel.topic, schema.name, FixedSizeChannel(layout, expected))
         if schema.name not in MESSAGE_TYPES:
-            self.scan.notes.append(
-                f"the topic {channel.topic!r} is not read, because its messages have the unknown "
-                f"type {schema.name}"
+            reason = f"its messages have the unknown type {schema.name}"
+            return self._leave_unread(channel, schema.name, reason)
+        if not has_fields_of_format(schema.name, schema.data):
+            raise InputError(
+                f"in {self.path}, the topic {channel.topic!r} is invalid (the message type "
+                f"{schema.name} does not have the fields that recording format 1 defines)",
+                _FOREIGN_FILE_REMEDY,
             )
-            return _ChannelStore(channel.topic, schema.name, None)
-        return _ChannelStore(channel.topic, schema.name, VariableSizeChannel())
-
-    def _has_too_many_types(self, schema: SchemaDeclaration) -> bool:
-        """Count a type that format 1 does not define; return whether there are too many."""
-        foreign_type = (schema.name, bytes(schema.data))
-        if schema.name in SCHEMAS or foreign_type in self._foreign_types:
-            return False
-        if len(self._foreign_types) < MAX_FOREIGN_TYPES:
-            self._foreign_types.add(foreign_type)
-            return False
-        text = (
-            f"the file has more than {MAX_FOREIGN_TYPES} other types of messages; the topics of "
-            "further types are not read"
+        layout = FIXED_LAYOUTS.get(schema.name)
+        if layout is None:
+            return _ChannelStore(channel.topic, schema.name, VariableSizeChannel())
+        # An index can have any count; its messages cannot have more bytes than the chunks.
+        expected = min(
+            self._expected_counts[number],
+            self._unpacked_bytes // (RECORD_BYTES + layout.size_bytes),
         )
-        if text not in self.scan.notes:
-            self.scan.notes.append(text)
-        return True
+        if self.field_names and schema.name == ImuRaw.TYPE:
+            columns = ImuColumnsChannel(layout, expected, self.field_names)
+            return _ChannelStore(channel.topic, schema.name, columns)
+        return _ChannelStore(channel.topic, schema.name, FixedSizeChannel(layout, expected))
+
+    def _leave_unread(self, channel: ChannelDeclaration, kind: str, reason: str) -> _ChannelStore:
+        """Note that a topic is not read."""
+        self._unread_topics += 1
+        if self._unread_topics <= MAX_UNREAD_NOTES:
+            self.scan.notes.append(f"the topic {channel.topic!r} is not read, because {reason}")
+        elif self._unread_topics == MAX_UNREAD_NOTES + 1:
+            self.scan.notes.append("further topics of unknown types are not read")
+        return _ChannelStore(channel.topic, kind, None)
 
     def _build_topic(self, name: str, channel_stores: list[tuple[int, _ChannelStore]]) -> Topic:
         """Build one topic from its channels, usually one."""

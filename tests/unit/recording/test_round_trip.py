@@ -295,12 +295,11 @@ def test_unknown_topics_are_noted_and_not_read(tmp_path: Path) -> None:
 
     recording = read_recording(foreign(tmp_path / "a.mcap", fill))
     assert recording.is_complete
-    assert recording.array("/p")["p"].tolist() == [[1.5, 2.5]]
-    assert recording.array("/p")["q"].tolist() == [7]
     assert recording.board_ids == ("B-1",)
-    assert len(recording.notes) == 3
-    with pytest.raises(InputError):
-        recording.array("/s")
+    assert len(recording.notes) == 4
+    for topic in ("/s", "/p"):
+        with pytest.raises(InputError):
+            recording.array(topic)
 
 
 def test_repeated_metadata_is_noted(tmp_path: Path) -> None:

@@ -2,7 +2,7 @@
 
 What to use when: `CdrEncoder` and `CdrDecoder` for the few low-rate messages whose size varies.
 Fixed-size messages use one `struct.Struct` with `pack_fields` and `unpack_fields` or, in bulk, the
-numpy layout of `cdr_layout`.
+numpy layout of `message_layouts`.
 
 Source: OMG DDSI-RTPS 2.5 section 10 (encapsulation), CDR alignment of XCDR1.
 """

@@ -7,8 +7,7 @@ import numpy as np
 import numpy.typing as npt
 
 from gyrorig_protocol.recording.encoding.cdr_codec import ENCAPSULATION, NS_PER_S
-from gyrorig_protocol.recording.encoding.cdr_layout import derive_fixed_layout
-from gyrorig_protocol.recording.encoding.message_schemas import IMU_RAW
+from gyrorig_protocol.recording.encoding.message_layouts import FIXED_LAYOUTS
 
 IntArray = npt.NDArray[np.integer]
 
@@ -29,9 +28,7 @@ def pack_imu_payloads(
     Raises:
         ValueError: shapes differ or a value does not fit its field.
     """
-    layout = derive_fixed_layout("gyrorig_msgs/msg/ImuRaw", IMU_RAW)
-    if layout is None:  # our schema has a fixed size
-        raise AssertionError("ImuRaw has no fixed layout")
+    layout = FIXED_LAYOUTS["gyrorig_msgs/msg/ImuRaw"]
     sample_count = len(host_time_ns)
     records = np.zeros(sample_count, dtype=layout.dtype)
     host_ns = np.asarray(host_time_ns).astype(np.int64)

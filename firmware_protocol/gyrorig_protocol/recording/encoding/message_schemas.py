@@ -1,7 +1,7 @@
 """Message schemas of format 1: `ros2msg` texts with all dependencies.
 
 What to use when: `SCHEMAS` to register a channel or to compare with the schema in a file.
-`cdr_layout` derives the numpy layouts from these texts.
+`message_layouts` has the numpy layouts.
 
 Source of the standard messages: diagnostic_msgs and rcl_interfaces of ROS 2.
 """
