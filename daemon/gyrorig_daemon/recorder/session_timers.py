@@ -83,12 +83,22 @@ class DiagnosticsTimer:
         capture: CaptureClock,
         start_ns: int,
         *,
-        driver: PanTiltDriver,
-        controller_clock: Callable[[], OnlineClock | None],
         boards: Sequence[BoardLink],
         dropped_bytes: Callable[[], int],
+        driver: PanTiltDriver | None = None,
+        controller_clock: Callable[[], OnlineClock | None] = lambda: None,
     ) -> None:
-        """Start at the begin of a session; earlier counts are subtracted."""
+        """Start at the begin of a session; earlier counts are subtracted.
+
+        Args:
+            recorder: of the session.
+            capture: the clock of the receive times.
+            start_ns: begin of the session.
+            boards: of the rig.
+            dropped_bytes: how many bytes the acquisition has dropped.
+            driver: of the pan-tilt unit; None: a person turns the boards.
+            controller_clock: the map of the unit's clock.
+        """
         self._recorder = recorder
         self._capture = capture
         self._driver = driver
@@ -107,7 +117,9 @@ class DiagnosticsTimer:
         self._recorder.put(DIAGNOSTICS_TOPIC, Diagnostics(stamp_ns, statuses), stamp_ns)
 
     def _statuses(self) -> list[DiagnosticStatus]:
-        statuses = [self._recorder_status(), self._ptu_status()]
+        statuses = [self._recorder_status()]
+        if self._driver is not None:
+            statuses.append(self._ptu_status(self._driver))
         controller = self._controller_clock()
         if controller is not None:
             statuses.append(self._clock_status("clock/ptu", controller.report()))
@@ -138,11 +150,11 @@ class DiagnosticsTimer:
         } | recorder.counts.values()
         return DiagnosticStatus(level, "recorder", text, values=_as_text(values))
 
-    def _ptu_status(self) -> DiagnosticStatus:
-        counts = self._driver.counts
+    def _ptu_status(self, driver: PanTiltDriver) -> DiagnosticStatus:
+        counts = driver.counts
         names = [field.name for field in fields(counts) if field.name not in _NOT_COUNTERS]
         values = self._growth("ptu", {name: getattr(counts, name) for name in names})
-        lost_synchrony = self._driver.lost_synchrony
+        lost_synchrony = driver.lost_synchrony
         level, text = DiagnosticLevel.OK, "answers"
         if values["timeouts"] + values["garbled"] + values["frame_errors"] + values["hung_up"]:
             level, text = DiagnosticLevel.WARN, "some answers were lost or garbled"
@@ -155,7 +167,7 @@ class DiagnosticsTimer:
             "reply_wait_max_ms": f"{counts.reply_wait_max_ns * 1e-6:.3f}",
             "poll_wait_max_ms": f"{counts.poll_wait_max_ns * 1e-6:.3f}",
         }
-        return DiagnosticStatus(level, "ptu", text, self._driver.location, texts)
+        return DiagnosticStatus(level, "ptu", text, driver.location, texts)
 
     def _board_status(self, board: BoardLink) -> DiagnosticStatus:
         name, faults = f"board/{board.board_id}", board.faults()

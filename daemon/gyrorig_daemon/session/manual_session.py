@@ -24,7 +24,7 @@ from gyrorig_daemon.links.ports.port_hub import PortHub
 from gyrorig_daemon.links.pump import Pump, Timer
 from gyrorig_daemon.motion.manual_checks import JudgedPhase, RateWindow, check_rest, check_turn
 from gyrorig_daemon.recorder import Recorder
-from gyrorig_daemon.recorder.session_timers import HostClockTimer, WriterTimer
+from gyrorig_daemon.recorder.session_timers import DiagnosticsTimer, HostClockTimer, WriterTimer
 from gyrorig_daemon.session.session_description import (
     SessionRequest,
     check_folder,
@@ -120,6 +120,13 @@ class ManualSession:
         timers: list[Timer] = [
             WriterTimer(self.recorder, now_ns),
             HostClockTimer(self.recorder, self._capture, environment.read_host, now_ns),
+            DiagnosticsTimer(
+                self.recorder,
+                self._capture,
+                now_ns,
+                boards=self._boards,
+                dropped_bytes=environment.dropped_bytes,
+            ),
         ]
         for timer in timers:
             self._pump.add_timer(timer)

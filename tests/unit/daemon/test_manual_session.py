@@ -26,6 +26,7 @@ from gyrorig_protocol.program import Turn, parse_program
 from gyrorig_protocol.recording.messages import EventKind, ImuRaw, ImuStatus, SessionEvent
 from gyrorig_protocol.recording.reader import read_recording
 from gyrorig_protocol.recording.recording import Recording
+from gyrorig_protocol.recording.standard_messages import Diagnostics
 from gyrorig_solver.data import FloatArray
 from gyrorig_solver.pipeline import solve_recordings
 
@@ -114,6 +115,17 @@ def test_a_session_is_spoken_recorded_and_solved(tmp_path: Path) -> None:
     fit = solve_recordings([recording], "GY80-1")
     error = fit.gain[:, 2] - bench.rig.truth.boards["GY80-1"].imu.gain[:, 2]
     assert np.all(np.abs(error) < 4.0 * fit.gain_std[:, 2])
+
+
+def test_the_health_of_the_boards_is_recorded_each_second(tmp_path: Path) -> None:
+    recording = ManualBench(tmp_path).record()
+    messages = [m for m in recording.messages("/diagnostics") if isinstance(m, Diagnostics)]
+    # Rests and turns of 26 s, and the time to place the board, to count down and to settle.
+    assert 35 < len(messages) < 55
+    steps_ns = np.diff([message.stamp_ns for message in messages])
+    assert np.all(np.abs(steps_ns - 1e9) < 1e8)
+    names = {status.name for message in messages for status in message.status}
+    assert names == {"recorder", "board/GY80-1", "clock/GY80-1"}
 
 
 def test_the_contract_judge_accepts_the_recording(tmp_path: Path, contract_judge: Path) -> None:
