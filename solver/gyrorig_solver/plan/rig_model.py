@@ -22,6 +22,7 @@ from gyrorig_solver.plan.unit_model import BITS_PER_BYTE, AxisModel, UnitModel, 
 
 SCHEMA = "gyrorig/rig/1"
 EMULATED = "emulated"
+MANUAL = "manual"  # the driver of a person
 DEFAULT_SENSOR = "L3G4200D"
 Positive = Annotated[float, msgspec.Meta(gt=0.0)]
 
@@ -40,6 +41,7 @@ class _Polling(msgspec.Struct, frozen=True):
 
 class _Unit(msgspec.Struct, frozen=True):
     port: str
+    driver: str = ""
     baud: Annotated[int, msgspec.Meta(ge=300)] = 9600
     dialect: Literal["auto", "d46", "e46"] = "auto"
     limits: _Limits = _Limits()
@@ -112,7 +114,7 @@ def load_rig(path: Path) -> RigModel:
     """Read the rig model from a rig file.
 
     Raises:
-        UsageError: the file cannot be read, is not a rig, or allows no motion.
+        UsageError: the file cannot be read, is not a rig, allows no motion, or its rig has no unit.
     """
     try:
         text = path.read_bytes()
@@ -123,6 +125,13 @@ def load_rig(path: Path) -> RigModel:
         ) from fault
     document = convert_document(parse_yaml(text, path.name, schema=SCHEMA), _Rig, path.name)
     unit, board, emulator = document.ptu, document.boards[0], document.emulator
+    if unit.driver == MANUAL:
+        raise UsageError(
+            f"in {path.name}, a person turns the boards (`driver: manual`), and this command needs "
+            "the motion of a pan-tilt unit",
+            "use the motion program config/manual/turns.yaml as it is, or give the rig file of a "
+            "pan-tilt unit",
+        )
     emulated = unit.port == EMULATED
     named: str = unit.dialect if unit.dialect != "auto" else "e46"
     model = build_unit_model(

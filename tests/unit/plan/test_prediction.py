@@ -112,3 +112,8 @@ def test_rigs_limits_bind(tmp_path: Path) -> None:
     assert unit.tilt.fastest_deg_s == 40.0
     assert not unit.both_at_once
     assert unit.poll_interval_s >= 0.1
+
+
+def test_a_rig_whose_boards_a_person_turns_has_no_unit_to_plan_for() -> None:
+    with pytest.raises(UsageError, match=r"a person turns the boards \(`driver: manual`\)"):
+        load_rig(PROGRAMS.parent / "manual" / "rig.yaml")
