@@ -2,7 +2,7 @@
 
 from tests.fuzz.target import Target, expect_rejection, require
 
-from gyrorig_daemon.service.job_queue import parse_job
+from gyrorig_daemon.service.jobs import parse_job
 from gyrorig_daemon.service.service_protocol import (
     HALT_COMMANDS,
     PRIVILEGED_COMMANDS,

@@ -18,7 +18,7 @@ from typing import Any
 from gyrorig_daemon.emulator.emulated_rig import EmulatedRig
 from gyrorig_daemon.emulator.emulator_settings import PtuSettings, RigSettings
 from gyrorig_daemon.emulator.pty_server import PtyServer, raw_now_ns
-from gyrorig_daemon.service.job_queue import enqueue_job
+from gyrorig_daemon.service.jobs import enqueue_job
 from gyrorig_daemon.service.service_client import send_command
 from gyrorig_protocol.errors import GyrorigError
 

@@ -11,7 +11,7 @@ import pytest
 
 from gyrorig_daemon.recorder import Recorder, RecorderSettings, RecorderState, RecordingPlan
 from gyrorig_daemon.recorder.recovery import RecoveryOutcome, recover_folder
-from gyrorig_daemon.service.job_queue import enqueue_job
+from gyrorig_daemon.service.jobs import enqueue_job
 from gyrorig_protocol.errors import MachineError
 from gyrorig_protocol.recording.messages import ImuRaw
 from gyrorig_protocol.recording.reader import read_recording

@@ -49,6 +49,8 @@ class ServiceSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     keep_mb: Annotated[int, msgspec.Meta(ge=1)] | None = None
     # Delete the oldest when less than the reserve is free; otherwise recording waits.
     delete_when_full: bool = False
+    # Motion programs that the solver proposes may move a real unit, with nobody there.
+    run_proposed_programs: bool = False
     # Additional calibration folders; recordings that their calibrations reference are kept.
     stores: Annotated[tuple[str, ...], msgspec.Meta(max_length=20)] = ()
 

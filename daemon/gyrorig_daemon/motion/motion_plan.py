@@ -44,7 +44,11 @@ PlannedStep = PlannedMove | PlannedRest
 
 
 def plan_program(
-    program: MotionProgram, facts: UnitFacts, limits: CommandLimits, start: dict[Axis, int]
+    program: MotionProgram,
+    facts: UnitFacts,
+    limits: CommandLimits,
+    start: dict[Axis, int],
+    limit_s: float | None = None,
 ) -> list[PlannedStep]:
     """Return the steps of the program for this unit.
 
@@ -53,9 +57,11 @@ def plan_program(
         facts: capabilities of the unit.
         limits: limits of the rig.
         start: positions of the axes, in steps.
+        limit_s: that the program may last.
 
     Raises:
-        UsageError: a step is outside the limits of angle or speed; the text has its number.
+        UsageError: a step is outside the limits of angle or speed, and the text has its number; or
+            the program takes too long.
     """
     position_steps = dict(start)
     planned_steps: list[PlannedStep] = []
@@ -86,6 +92,12 @@ def plan_program(
             position_steps[axis] = target
         phase: Literal["sweep", "home"] = "home" if isinstance(step, Home) else "sweep"
         planned_steps.append(PlannedMove(phase, tuple(axes), move.settle_s, _describe(move)))
+    planned_s = plan_duration_s(planned_steps)
+    if limit_s is not None and planned_s > limit_s:
+        raise UsageError(
+            f"the motion program takes {planned_s:.0f} s, but {limit_s:.0f} s remain",
+            "use a shorter program, or allow more minutes",
+        )
     return planned_steps
 
 

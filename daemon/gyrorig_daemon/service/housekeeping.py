@@ -69,6 +69,7 @@ class Housekeeping:
         self._thread = threading.Thread(target=self._run, name="keeper", daemon=True)
         self.counts = HousekeepingCounts()
         self.recorder: Recorder | None = None  # whose files are being written
+        self.protected: tuple[Path, ...] = ()  # recordings of a running experiment
 
     def start(self) -> None:
         """Start the thread, with the recovery first."""
@@ -151,7 +152,7 @@ class Housekeeping:
         if rules == RetentionRules():
             return
         recorder = self.recorder
-        protected = () if recorder is None else recorder.paths
+        protected = (*self.protected, *(() if recorder is None else recorder.paths))
         with self._lock:
             try:
                 result = apply_retention(

@@ -9,7 +9,7 @@ A job is a document `gyrorig/job/1`, or a `gyrorig/program/1` without further se
 appear in the folder in one step: written under another name and renamed, or moved from the
 same disk. Names that begin with a dot are ignored.
 
-What to use when: `enqueue_job` to add a job, `JobQueue` to take jobs. A job that was running
+What to use when: `JobQueue` to take jobs; `jobs.enqueue_job` adds them. A job that was running
 when the service crashed is not started again, because it may be the cause of the crash.
 
 Members of the daemon's group write to `queue/`, so nothing in it is trusted. `JobQueue` opens each
@@ -22,27 +22,16 @@ import errno
 import itertools
 import json
 import os
-import re
 import secrets
 import stat
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass
-from datetime import UTC, datetime
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Any
 
-import msgspec
+from gyrorig_daemon.service.jobs import MAX_JOB_BYTES, SessionJob, parse_job
+from gyrorig_protocol.errors import GyrorigError, MachineError, UsageError
 
-from gyrorig_daemon.service.state_folder import apply_umask
-from gyrorig_protocol.atomic_files import write_atomically
-from gyrorig_protocol.documents import convert_document, dump_yaml, parse_yaml
-from gyrorig_protocol.errors import GyrorigError, InputError, MachineError, UsageError
-from gyrorig_protocol.identity import BoardId
-from gyrorig_protocol.program import MotionProgram, parse_program
-
-SCHEMA = "gyrorig/job/1"
-MAX_JOB_BYTES = 1_000_000
 INTERRUPTED = (
     "The daemon ended while the job was running. Check the rig and the log, then enqueue "
     "the job again."
@@ -54,120 +43,7 @@ MTIME_STEP_NS = 100_000_000  # two changes of a folder within this time can have
 FOLDER_MODE = 0o3770  # the daemon's group can add jobs; sticky: each member removes only its own
 OWN_FOLDER_MODE = 0o750
 FOLDERS = ("running", "done", "failed")
-JOB_MODE = 0o660
 RESULT_MODE = 0o640
-
-# C0 and C1 controls, and the separators of lines and paragraphs: a log or a terminal obeys them
-_CONTROLS = re.compile(r"[\x00-\x1f\x7f-\x9f\u2028\u2029]")
-
-ProgramText = Annotated[str, msgspec.Meta(max_length=MAX_JOB_BYTES)]
-
-
-class JobDocument(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """The content of a job file."""
-
-    program: ProgramText  # a whole `gyrorig/program/1` document, as text
-    schema: Literal["gyrorig/job/1"] = "gyrorig/job/1"
-    session: str | None = None
-    home: bool = False
-
-
-@dataclass(frozen=True, slots=True)
-class SessionJob:
-    """A session that is to run."""
-
-    name: str
-    program: MotionProgram
-    program_text: bytes
-    session: str
-    home: bool
-    path: Path | None = None  # None: from the schedule
-
-
-def enqueue_job(
-    queue: Path, program_text: bytes, name: str, session: str | None = None, home: bool = False
-) -> Path:
-    """Add a job to the queue; return its file.
-
-    Args:
-        queue: the folder.
-        program_text: the program document.
-        name: name of the program in error messages.
-        session: name of the session in the recording; random if it is None.
-        home: home the unit first.
-
-    Raises:
-        UsageError: the program or the session name is invalid.
-        MachineError: the file cannot be written.
-    """
-    program = _parse_safe_program(program_text, name)
-    validate_session_name(session)
-    document = {"schema": SCHEMA, "program": program_text.decode("utf-8"), "home": home}
-    if session is not None:
-        document["session"] = session
-    stem = "".join(c if c.isalnum() else "-" for c in program.name)[:32].strip("-") or "job"
-    submitted_at = datetime.now(UTC)
-    path = queue / f"{submitted_at:%Y%m%dT%H%M%S%f}Z-{secrets.token_hex(2)}-{stem}.yaml"
-    try:
-        write_atomically(path, dump_yaml(document).encode(), mode=apply_umask(JOB_MODE))
-    except OSError as error:
-        raise MachineError(
-            f"the job cannot be written to the queue {queue} ({error.strerror})",
-            "give the folder of the daemon with --state, or join the daemon's group, whose "
-            "members can write to the queue",
-        ) from error
-    return path
-
-
-def validate_session_name(session: str | None) -> None:
-    """Check that a session name can be part of a file name.
-
-    Raises:
-        UsageError: it cannot.
-    """
-    try:
-        if session is not None:
-            BoardId(session)
-    except InputError as error:
-        raise UsageError(f"the session name {session!r:.50} is not valid", error.remedy) from error
-
-
-def _parse_safe_program(text: bytes, name: str) -> MotionProgram:
-    """Return a program whose name can be logged and shown.
-
-    Raises:
-        UsageError: the program is invalid, or its name has control characters.
-    """
-    program = parse_program(text, name)
-    if _CONTROLS.search(program.name):
-        raise UsageError(
-            f"the name in the motion program {name} has control characters",
-            "write a name of letters, digits, spaces and dashes",
-        )
-    return program
-
-
-def parse_job(text: bytes, name: str, path: Path | None = None) -> SessionJob:
-    """Return the job that a document describes.
-
-    Raises:
-        UsageError: the document is not a valid job.
-    """
-    document = parse_yaml(text, name, schema=SCHEMA)
-    if isinstance(document, dict) and str(document.get("schema", "")) != SCHEMA:
-        try:  # YAML also permits UTF-16, which the program text cannot be
-            job_document = JobDocument(program=text.decode("utf-8"))
-        except UnicodeDecodeError as error:
-            raise UsageError(
-                f"the motion program {name} is not a text in UTF-8", "save the file as UTF-8"
-            ) from error
-    else:
-        job_document = convert_document(document, JobDocument, name)
-    validate_session_name(job_document.session)
-    program_text = job_document.program.encode()
-    program = _parse_safe_program(program_text, name)
-    session = job_document.session or secrets.token_hex(4)
-    return SessionJob(Path(name).stem, program, program_text, session, job_document.home, path)
 
 
 class JobQueue:

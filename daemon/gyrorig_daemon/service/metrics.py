@@ -18,7 +18,15 @@ from gyrorig_protocol.atomic_files import write_atomically
 from gyrorig_protocol.errors import MachineError
 
 FILE_NAME = "gyrorig.prom"
-SERVICE_STATES = ("starting", "waiting", "ready", "running", "fault", "stopping")
+SERVICE_STATES = (
+    "starting",
+    "waiting",
+    "ready",
+    "running",
+    "explaining",
+    "fault",
+    "stopping",
+)
 HOUSEKEEPING_GAUGES = ("kept_for_calibrations",)
 FILE_MODE = 0o644  # the node exporter runs as another user
 JOIN_TIMEOUT_S = 2.0

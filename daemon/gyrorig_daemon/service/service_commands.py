@@ -16,7 +16,13 @@ from gyrorig_daemon.config import read_document
 from gyrorig_daemon.links.ports.halt_pipe import HaltPipe
 from gyrorig_daemon.links.pump import StopFlag
 from gyrorig_daemon.live.foxglove_view import DEFAULT_ADDRESS as LIVE_DEFAULT
-from gyrorig_daemon.service.job_queue import enqueue_job
+from gyrorig_daemon.service.jobs import (
+    DEFAULT_MINUTES,
+    MAX_MINUTES,
+    MAX_ROUNDS,
+    UntilNamed,
+    enqueue_job,
+)
 from gyrorig_daemon.service.service_client import send_command, stream_responses
 from gyrorig_daemon.service.service_protocol import DEFAULT_SOCKET, SOCKET_NAME
 from gyrorig_daemon.service.state_folder import DEFAULT_STATE_FOLDER as DEFAULT_STATE
@@ -125,10 +131,45 @@ def run_command(
 @click.option(
     "--home", is_flag=True, help="Home the unit first: both axes sweep their whole range."
 )
+@click.option(
+    "--until-named",
+    is_flag=True,
+    help="Explain the recording, and record what `gyrorig explain` proposes, until every cause "
+    "has one name. On a real unit, the rig file must permit it.",
+)
+@click.option(
+    "--minutes",
+    type=click.FloatRange(1.0, MAX_MINUTES),
+    default=DEFAULT_MINUTES,
+    show_default=True,
+    help="With --until-named: no session begins that would end later.",
+)
+@click.option(
+    "--rounds",
+    type=click.IntRange(1, MAX_ROUNDS),
+    default=UntilNamed().rounds,
+    show_default=True,
+    help="With --until-named: the largest number of sessions.",
+)
+@click.option(
+    "--next-seconds",
+    type=click.FloatRange(1.0, 3_600.0),
+    default=UntilNamed().next_seconds,
+    show_default=True,
+    help="With --until-named: the longest motion program that may be proposed.",
+)
 @_state_option
 @_json_option
 def enqueue_command(
-    program_path: Path, session: str | None, home: bool, state: Path, as_json: bool
+    program_path: Path,
+    session: str | None,
+    home: bool,
+    until_named: bool,
+    minutes: float,
+    rounds: int,
+    next_seconds: float,
+    state: Path,
+    as_json: bool,
 ) -> None:
     """Add a session to the queue. The daemon runs it as soon as the rig is ready.
 
@@ -136,10 +177,11 @@ def enqueue_command(
 
     Example: gyrorigd enqueue --program config/programs/survey-130.yaml
     """
+    limits = UntilNamed(minutes, rounds, next_seconds) if until_named else None
     program = read_document(program_path)
     no_daemon = "" if is_in_use(state) else f"no daemon is running with the state folder {state}"
     try:
-        path = enqueue_job(state / "queue", program, program_path.name, session, home)
+        path = enqueue_job(state / "queue", program, program_path.name, session, home, limits)
     except MachineError as error:
         if not no_daemon:
             raise

@@ -29,6 +29,8 @@ class ServiceCounts:
     sessions_failed: int = 0
     sessions_stopped: int = 0
     sessions_put_off: int = 0
+    experiments_done: int = 0
+    experiments_failed: int = 0
     motion_faults: int = 0
     unit_lost: int = 0
     unit_reopened: int = 0

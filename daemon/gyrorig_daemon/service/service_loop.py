@@ -16,6 +16,9 @@ identified, a system time that no recording can hold, a disk without space, miss
     an operator's halt      halted, closed, and a motion lock
     SIGTERM, SIGINT         halted, closed, and the loop ends
 
+A job with `until_named` is an experiment (`experiment`): its sessions run one after the other, and
+no other session starts between them. A halt, a fault and the end of the loop end the experiment.
+
 A motion lock survives the process (`persistent_state`), because a restart does not check the rig.
 """
 
@@ -24,7 +27,8 @@ from enum import Enum
 
 from gyrorig_daemon.links.pump import StopRequestedError
 from gyrorig_daemon.recorder import RecorderState
-from gyrorig_daemon.service.job_queue import SessionJob
+from gyrorig_daemon.service.experiment import Experiment
+from gyrorig_daemon.service.jobs import SessionJob
 from gyrorig_daemon.service.service_context import ServiceContext
 from gyrorig_daemon.service.session_runner import ServiceState, SessionRunner, StatusSummary
 from gyrorig_daemon.service.status_publisher import StatusPublisher
@@ -32,7 +36,7 @@ from gyrorig_daemon.service.system_clock_monitor import SystemClockMonitor, cloc
 from gyrorig_daemon.service.unit_monitor import UnitMonitor, UnitPresence, send_initial_halt
 from gyrorig_daemon.service.watchdog import WatchdogTimer
 from gyrorig_daemon.session.connected_rig import Rig
-from gyrorig_protocol.errors import DeviceError, UsageError, sentence
+from gyrorig_protocol.errors import DeviceError, GyrorigError, UsageError, sentence
 from gyrorig_protocol.program import parse_program
 
 IDLE_PERIOD_NS = 200_000_000
@@ -64,7 +68,11 @@ class ServiceLoop:
         self._must_reopen = False
         self.state = ServiceState(StatusSummary("starting"))
         self.unit_monitor = UnitMonitor(rig, context.persistent, context.counts, context.seed)
-        self._runner = SessionRunner(rig, context, self.unit_monitor, self.state)
+        self._experiment = Experiment(rig.config, context)
+        self.state.experiment = self._experiment.status
+        self._runner = SessionRunner(
+            rig, context, self.unit_monitor, self.state, self._experiment.end_round
+        )
         now_ns = self._pump.now_ns()
         self.clock_monitor = SystemClockMonitor(
             context.clocks.read_host, now_ns, self._record_clock_step
@@ -85,16 +93,23 @@ class ServiceLoop:
         self._pump.obey_stop()
         send_initial_halt(self._rig)
         next_action = self._announce_ready
-        while True:
-            try:
-                next_action()
-                next_action = self._run_once
-                if self._must_reopen:
-                    return LoopExit.REOPEN
-            except StopRequestedError as request:
-                if self._context.requests.acknowledge_stop():
-                    return LoopExit.END
-                self._handle_operator_halt(str(request))
+        try:
+            while True:
+                try:
+                    next_action()
+                    next_action = self._run_once
+                    if self._must_reopen and not self._experiment.is_active:
+                        return LoopExit.REOPEN
+                except StopRequestedError as request:
+                    self._experiment.abandon(str(request))
+                    if self._context.requests.acknowledge_stop():
+                        return LoopExit.END
+                    self._handle_operator_halt(str(request))
+        except GyrorigError as error:
+            self._experiment.abandon(error.problem)
+            raise
+        finally:
+            self._experiment.abandon("the daemon ended")  # only after a fault of the program
 
     def handle_reload_request(self) -> None:
         """Read the configuration again on request; a valid one takes effect when idle."""
@@ -125,25 +140,35 @@ class ServiceLoop:
         """Run one job, or wait for one idle period."""
         if reopen_reason := self._context.reopen_reason():
             self._context.log(f"{sentence(reopen_reason)} It is started again.")
+            self._experiment.abandon(reopen_reason)
             self._must_reopen = True
             return
         self._handle_clear_request()
         self.unit_monitor.poll()
         blocking_reason = self._blocking_reason()
+        self._watch_experiment(blocking_reason)
         if not blocking_reason:
             job = self._next_job()
             if job is not None:
                 self._runner.run_job(job)
                 return
-        idle_state = (
-            "fault"
-            if self._context.persistent.motion_lock
-            else "waiting"
-            if blocking_reason
-            else "ready"
-        )
-        self.state.summary = StatusSummary(idle_state, blocking_reason)
+        self.state.summary = StatusSummary(self._idle_state(blocking_reason), blocking_reason)
         self._pump.run_until(self._pump.now_ns() + IDLE_PERIOD_NS)
+
+    def _idle_state(self, blocking_reason: str) -> str:
+        """Return the state of a service that runs no session."""
+        if self._context.persistent.motion_lock:
+            return "fault"
+        if blocking_reason:
+            return "waiting"
+        return "explaining" if self._experiment.is_active else "ready"
+
+    def _watch_experiment(self, blocking_reason: str) -> None:
+        """Let the experiment go on; a motion lock ends it."""
+        motion_lock = self._context.persistent.motion_lock
+        if motion_lock is not None:
+            self._experiment.abandon(motion_lock.reason)
+        self._experiment.watch(blocking_reason)
 
     def _blocking_reason(self) -> str:
         """Return why no session can start now, "" if one can."""
@@ -174,7 +199,12 @@ class ServiceLoop:
     def _next_job(self) -> SessionJob | None:
         """Return the next job: jobs of the queue before those of the schedule."""
         context, clocks = self._context, self._context.clocks
+        if self._experiment.is_active:
+            return self._experiment.next_round()
         job = context.queue.take_next()
+        if job is not None and job.until_named is not None:
+            self._experiment.begin(job)
+            return self._experiment.next_round()
         if job is not None:
             return job
         entry = context.schedule.due_entry(clocks.monotonic_s(), clocks.utc_s())

@@ -5,6 +5,7 @@ returns with the unit halted and the recording closed, whatever has happened. Me
 parts of the service read `ServiceState`.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -12,7 +13,8 @@ from typing import Any
 from gyrorig_daemon.links.ports.port_hub import PortsGoneError
 from gyrorig_daemon.links.pump import StopRequestedError
 from gyrorig_daemon.recorder import Recorder
-from gyrorig_daemon.service.job_queue import SessionJob
+from gyrorig_daemon.service.experiment import RoundOutcome
+from gyrorig_daemon.service.jobs import SessionJob
 from gyrorig_daemon.service.persistent_state import MotionLock
 from gyrorig_daemon.service.recording_policy import recorder_settings
 from gyrorig_daemon.service.service_context import ServiceContext
@@ -35,7 +37,7 @@ STEPS_UNCERTAIN = (
 class StatusSummary:
     """Summary of what the main loop is doing."""
 
-    state: str  # starting, waiting, ready, running, fault
+    state: str  # starting, waiting, ready, running, explaining, fault
     reason: str = ""
     session: dict[str, Any] | None = None
 
@@ -47,6 +49,8 @@ class ServiceState:
     summary: StatusSummary
     session: Session | None = None
     last_session: dict[str, Any] | None = None  # result of the last session
+    # progress of the experiment that is running, None without one
+    experiment: Callable[[], dict[str, Any] | None] = lambda: None
     motion_start_s: float = 0.0  # start of the first step, monotonic
     step_start_s: float = 0.0
 
@@ -64,8 +68,23 @@ class SessionRunner:
     """Runs one job after another on one rig."""
 
     def __init__(
-        self, rig: Rig, context: ServiceContext, unit_monitor: UnitMonitor, state: ServiceState
+        self,
+        rig: Rig,
+        context: ServiceContext,
+        unit_monitor: UnitMonitor,
+        state: ServiceState,
+        end_round: Callable[[RoundOutcome], None],
     ) -> None:
+        """Prepare.
+
+        Args:
+            rig: an opened rig.
+            context: what outlives the rig.
+            unit_monitor: of the rig.
+            state: for the status.
+            end_round: takes the outcome of a session that is a round of an experiment.
+        """
+        self._end_round = end_round
         self._rig = rig
         self._pump = rig.pump
         self._context = context
@@ -84,13 +103,15 @@ class SessionRunner:
             not self._context.persistent.steps_are_sure and self._rig.config.ptu.home_without_asking
         )
         if not self._context.persistent.steps_are_sure and not home:
-            result = "waits" if job.path is None else "failed"
+            is_scheduled = job.path is None and not job.is_round
+            result = "waits" if is_scheduled else "failed"
             self._archive_job(job, SessionOutcome(result, STEPS_UNCERTAIN, None), start_utc_s)
             return
         session = self._open_session(job, home)
         outcome = SessionOutcome("failed", "the daemon ended while the session was running", None)
         try:
-            outcome = self._run_session(session, is_scheduled=job.path is None)
+            is_scheduled = job.path is None and not job.is_round
+            outcome = self._run_session(session, is_scheduled)
         except PortsGoneError as error:
             outcome = SessionOutcome("failed", str(error), session.recorder.path)
             raise
@@ -123,6 +144,7 @@ class SessionRunner:
             out_dir=context.state_folder.recordings,
             session=job.session,
             home=home,
+            limit_s=job.limit_s,
         )
         environment = SessionEnvironment(
             capture=rig.capture,
@@ -236,6 +258,7 @@ class SessionRunner:
         start_utc_s: float,
         recorder: Recorder | None = None,
     ) -> None:
+        parts = () if recorder is None else recorder.paths
         if outcome.result == "waits":
             self._postpone(job, outcome.reason)
             return
@@ -247,20 +270,25 @@ class SessionRunner:
             "program": job.program.name,
             "reason": outcome.reason,
             "recording": None if outcome.recording is None else str(outcome.recording),
-            "parts": [] if recorder is None else [path.name for path in recorder.paths],
+            "parts": [path.name for path in parts],
             "messages_lost": 0 if recorder is None else recorder.counts.lost,
             "begun_utc_s": round(start_utc_s, 3),
             "ended_utc_s": round(self._context.clocks.utc_s(), 3),
         }
-        self._context.queue.finish(job, outcome.result == "done", document)
+        if not job.is_round:
+            self._context.queue.finish(job, outcome.result == "done", document)
         self._state.last_session = {"job": job.name, "result": outcome.result, **document}
         reason_text = f": {outcome.reason}" if outcome.reason else ""
         self._context.log(sentence(f"Session {job.session} {outcome.result}{reason_text}"))
+        if job.is_round:
+            self._end_round(RoundOutcome(outcome.result, outcome.reason, tuple(parts)))
 
     def _postpone(self, job: SessionJob, reason: str) -> None:
         """Try a session again that was not started."""
         context, delay_text = self._context, ""
-        if job.path is None:
+        if job.is_round:
+            self._end_round(RoundOutcome("waits", reason, ()))
+        elif job.path is None:
             wait_s = context.schedule.postpone(job.name, context.clocks.monotonic_s())
             delay_text = "" if wait_s is None else f" for at least {wait_s:.0f} s"
         else:

@@ -3,6 +3,7 @@
     lock               held while the service runs
     recordings/        recordings; unfinished files end in .part
     queue/             jobs (see `job_queue`)
+    experiments/       one folder per experiment, with the findings of each round
     metrics/           gyrorig.prom for a Prometheus node exporter, unless configured otherwise
     schedule.json      when each entry of the schedule last started
     rig.json           the motion lock, and whether the step count is reliable
@@ -19,7 +20,7 @@ from types import TracebackType
 from gyrorig_protocol.errors import BusyError, MachineError
 
 DEFAULT_STATE_FOLDER = Path("/var/lib/gyrorig")  # StateDirectory= of the systemd unit
-SUBFOLDERS = ("recordings", "queue", "metrics")
+SUBFOLDERS = ("recordings", "queue", "experiments", "metrics")
 
 
 def is_in_use(root: Path) -> bool:
@@ -46,7 +47,9 @@ class StateFolder:
 
     def __init__(self, root: Path) -> None:
         self.root = root
-        self.recordings, self.queue, self.metrics = (root / name for name in SUBFOLDERS)
+        self.recordings, self.queue, self.experiments, self.metrics = (
+            root / name for name in SUBFOLDERS
+        )
         self.schedule = root / "schedule.json"
         self.persistent_state = root / "rig.json"
         self._lock: int | None = None

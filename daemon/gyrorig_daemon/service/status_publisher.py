@@ -71,6 +71,7 @@ class StatusPublisher:
             "reason": summary.reason,
             "session": self._session(),
             "last_session": self._state.last_session,
+            "experiment": self._state.experiment(),
             "unit": self._unit(),
             "boards": [self._board(board, now_ns) for board in self._rig.boards],
             "recorder": self._recorder(),

@@ -26,6 +26,9 @@ def render_status(status: dict[str, Any]) -> str:
     lines += [_board_line(board) for board in status["boards"]]
     if status["session"] is not None:
         lines.append(_session_lines(status["session"], status["recorder"]))
+    experiment = status.get("experiment")  # older services have none
+    if experiment is not None:
+        lines.append(_experiment_line(experiment))
     if status["last_session"] is not None:
         last_session = status["last_session"]
         reason = f": {last_session['reason']}" if last_session["reason"] else ""
@@ -114,6 +117,16 @@ def _session_lines(session: dict[str, Any], recorder: dict[str, Any]) -> str:
     remaining = f", {_format_duration(session['left_s'])} left" if "left_s" in session else ""
     return (
         f"session {session['session']}  [{bar}] step {step} of {steps}{remaining}{recording_text}"
+    )
+
+
+def _experiment_line(experiment: dict[str, Any]) -> str:
+    sets = [" or ".join((c["cause"], *c["one_of"])) for c in experiment["causes"]]
+    stated = f": {', '.join(sets)}" if sets else ""
+    return (
+        f"experiment  {experiment['step']}, session {experiment['round']} of at most "
+        f"{experiment['rounds']}, {_format_duration(experiment['used_s'])} of "
+        f"{_format_duration(experiment['limit_s'])}{stated}"
     )
 
 

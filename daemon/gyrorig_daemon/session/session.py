@@ -158,7 +158,7 @@ class Session:
         self._log.set_unit(unit.facts)
         self._poller = poller = PositionPoller(unit, ptu.poll.rate_hz, self._log.record_position)
         start = poller.read_positions()
-        self._steps = plan_program(request.program, unit.facts, ptu.limits, start)
+        self._steps = plan_program(request.program, unit.facts, ptu.limits, start, request.limit_s)
         self._replay = request.replay and plan_replay(request.replay, unit.facts, ptu.limits)
         ReplayExecutor.wait(self._pump, self._replay, self._environment.program_begin_ns)
         self.recorder.open(self._describe_recording(unit))

@@ -29,6 +29,7 @@ class SessionRequest:
     home: bool = False  # home first, even if the unit reports that it is homed
     replay: RecordedMotion | None = None  # instead of the steps of the program
     replay_sha256: str = ""  # of the replayed recording
+    limit_s: float | None = None  # that the program may last
 
 
 def describe_session(

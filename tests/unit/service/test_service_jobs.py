@@ -8,7 +8,8 @@ from pathlib import Path
 import pytest
 
 from gyrorig_daemon.service import job_queue
-from gyrorig_daemon.service.job_queue import JobQueue, enqueue_job, parse_job
+from gyrorig_daemon.service.job_queue import JobQueue
+from gyrorig_daemon.service.jobs import MAX_JOB_BYTES, enqueue_job, parse_job
 from gyrorig_protocol.errors import MachineError, UsageError
 
 PROGRAM = b"name: short\nsteps:\n  - rest: {seconds: 1.0}\n"
@@ -55,7 +56,7 @@ def test_what_is_no_job_is_put_aside_and_the_next_one_taken(tmp_path: Path) -> N
     (tmp_path / "a.yaml").write_bytes(b"[}")
     (tmp_path / "b.yaml").write_bytes(b"name: p\nsteps: []\n")
     (tmp_path / "c.yaml").write_bytes(b"\xff\xfe")
-    (tmp_path / "d.yaml").write_bytes(b"x" * (job_queue.MAX_JOB_BYTES + 1))
+    (tmp_path / "d.yaml").write_bytes(b"x" * (MAX_JOB_BYTES + 1))
     (tmp_path / "e.yaml").symlink_to("/etc/passwd")
     os.mkfifo(tmp_path / "f.yaml")
     (tmp_path / "g.yaml").mkdir()
