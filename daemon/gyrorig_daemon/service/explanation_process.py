@@ -38,7 +38,7 @@ SOLVER_PACKAGES = ("gyrorig_solver", "scipy", "jinja2")
 _THREAD_VARIABLES = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
 
 
-class StatedCause(msgspec.Struct, frozen=True):
+class ExplainedCause(msgspec.Struct, frozen=True):
     """One cause of the findings, with the others of its set."""
 
     cause: str
@@ -57,7 +57,7 @@ class StatedFindings(msgspec.Struct, frozen=True):
     """The part of the findings that an experiment needs."""
 
     verdict: str
-    causes: tuple[StatedCause, ...] = ()
+    causes: tuple[ExplainedCause, ...] = ()
     next_experiment: ProposedExperiment | None = None
 
 
