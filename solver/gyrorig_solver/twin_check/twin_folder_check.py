@@ -77,9 +77,9 @@ def check_twin_folder(
     with tempfile.TemporaryDirectory(prefix="gyrorig-twin-check-") as scratch_name:
         scratch = Path(scratch_name)
         default_path = scratch / "default.yaml"
-        default_path.write_text(_without_twin(text, path), encoding="utf-8")
+        default_path.write_text(default_rig_text(text, path), encoding="utf-8")
         calibrated_path = scratch / "without-causes.yaml"
-        calibrated_path.write_text(_without_causes(text, path), encoding="utf-8")
+        calibrated_path.write_text(calibrated_rig_text(text, path), encoding="utf-8")
         simulators = [
             Simulator("before", default_path, is_twin=False),
             Simulator("without-causes", calibrated_path),
@@ -128,13 +128,13 @@ def _read_twin(path: Path) -> bytes:
         ) from fault
 
 
-def _without_twin(text: bytes, path: Path) -> str:
+def default_rig_text(text: bytes, path: Path) -> str:
     """Return the rig file of the default simulation of the same devices."""
     document = parse_yaml(text, str(path), UsageError)
     return dump_yaml({key: value for key, value in document.items() if key != "twin"})
 
 
-def _without_causes(text: bytes, path: Path) -> str:
+def calibrated_rig_text(text: bytes, path: Path) -> str:
     """Return the rig file of the twin without its causes and their uncertainty."""
     document = parse_yaml(text, str(path), UsageError)
     section = {**document["twin"], "causes": []}

@@ -1,0 +1,187 @@
+# ruff: noqa: T201
+"""Log predictive density of a new recording: default simulation, twin, and the truth's own one.
+
+    python tests/bench/bench_twin_gain.py RESULTS.jsonl [--until 06:00] [--cause s_curve]
+
+Each session hides one cause at three times its minimal detectable size: the seeds, places and sizes
+are those of `tests/hidden/fast_tier.json`. One recording of the rig gives the twin. Another
+program is then recorded on the same rig with other noise, and predicted by four simulations: the
+default one, the twin without its causes, the twin, and the truth itself with other noise.
+
+    recovered       = (twin - default) / (truth - default)
+    cause recovered = (twin - twin without causes) / (truth - twin without causes)
+
+The second share has no part of the calibration. It is stated if its denominator is at least
+`MIN_NATS`. The file of results has one line per session; a second call goes on after the last one.
+"""
+
+import argparse
+import json
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from gyrorig_protocol.recording.reader import read_recording
+from gyrorig_solver.twin_check.recording_check import BoardCheck, check_board
+from gyrorig_solver.twin_check.simulation import SimulatedRun, Simulator, run_draws
+from gyrorig_solver.twin_check.twin_folder_check import calibrated_rig_text, default_rig_text
+
+ROOT = Path(__file__).resolve().parents[2]
+BIN = Path(sys.executable).parent
+CASES = ROOT / "tests" / "hidden" / "fast_tier.json"
+RIG = ROOT / "config" / "rig.yaml"
+MIN_NATS = 10.0  # smaller differences are the scatter of the draws
+MEDIAN_GOAL, NAMED_GOAL = 0.95, 0.80
+
+
+def programs(name: str) -> Path:
+    """Return a program of `config/programs`, or the file of that path."""
+    path = Path(name)
+    return path if path.suffix == ".yaml" else ROOT / "config" / "programs" / f"{name}.yaml"
+
+
+def rig_words(case: dict[str, Any]) -> tuple[str, ...]:
+    """Return the options of `gyrorigd record` that make the rig of a case."""
+    place = f"@{case['place']}" if case["place"] else ""
+    hidden = f"{case['cause']}{place}:{case['size']}"
+    return ("--seed", str(case["seed"]), "--soak", str(case["soak_k"]), "--hide", hidden)
+
+
+def record(folder: Path, case: dict[str, Any], program: str, session_seed: int) -> Path:
+    """Record a case; return the recording."""
+    words: list[str | Path] = [BIN / "gyrorigd", "record", "--simulated-time", "--json"]
+    words += ["--config", RIG, "--program", programs(program), "--out", folder]
+    words += ["--session-seed", str(session_seed), *rig_words(case)]
+    recorded = subprocess.run(list(map(str, words)), check=True, capture_output=True, text=True)
+    return Path(json.loads(recorded.stdout)["recording"])
+
+
+def write_simulators(folder: Path) -> Iterator[Simulator]:
+    """Yield the default simulation and the twin without causes, beside the twin."""
+    path = folder / "twin.yaml"
+    text = path.read_bytes()
+    default = folder / "default.yaml"
+    default.write_text(default_rig_text(text, path), encoding="utf-8")
+    yield Simulator("default", default, is_twin=False)
+    if yaml.safe_load(text)["twin"]["causes"]:
+        plain = folder / "without-causes.yaml"
+        plain.write_text(calibrated_rig_text(text, path), encoding="utf-8")
+        yield Simulator("without-causes", plain)
+
+
+def measure_case(case: dict[str, Any], options: argparse.Namespace) -> dict[str, Any]:
+    """Return the densities of one case, in nats per second."""
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        fitted = record(folder, case, case["program"], 2 * case["seed"])
+        words = [BIN / "gyrorig", "-q", "twin", fitted, "--out", folder / "twin"]
+        subprocess.run(list(map(str, words)), check=True, capture_output=True)
+        measured = read_recording(record(folder, case, options.program, 2 * case["seed"] + 1))
+        twin = yaml.safe_load((folder / "twin" / "twin.yaml").read_text("utf-8"))["twin"]
+        truth = Simulator("truth", RIG, is_twin=False, arguments=rig_words(case))
+        after = Simulator("twin", folder / "twin" / "twin.yaml")
+
+        def run(simulator: Simulator) -> list[SimulatedRun]:
+            out = folder / simulator.name
+            return list(run_draws(simulator, measured, range(options.draws + 1), out, lambda: None))
+
+        default, *plain = (run(simulator) for simulator in write_simulators(folder / "twin"))
+        board = measured.board_ids[0]
+        runs, truth_runs = run(after), run(truth)
+        # The same comparison twice: the middle place takes any simulation.
+        by_truth = check_board(measured, board, True, default, truth_runs, runs)
+        without = check_board(measured, board, True, default, plain[0], runs) if plain else None
+    return row_of(case, [cause["cause"] for cause in twin["causes"]], by_truth, without)
+
+
+def row_of(
+    case: dict[str, Any], named: list[str], by_truth: BoardCheck, without: BoardCheck | None
+) -> dict[str, Any]:
+    """Return the line of a case."""
+    truth = by_truth.without_causes
+    assert truth is not None
+    plain = None if without is None else without.without_causes
+    return {
+        "cause": case["cause"],
+        "seed": case["seed"],
+        "named": named,
+        "seconds": by_truth.session.duration_s,
+        "default": by_truth.before.nats_per_s,
+        "plain": None if plain is None else plain.nats_per_s,
+        "twin": by_truth.after.nats_per_s,
+        "truth": truth.nats_per_s,
+        "ceiling": by_truth.after.ceiling_nats_per_s,
+    }
+
+
+def share(row: dict[str, Any], begin: str) -> float:
+    """Return the share of the distance from a simulation to the truth that the twin recovers."""
+    possible = row["truth"] - row[begin] if row[begin] is not None else 0.0
+    if possible * row["seconds"] < MIN_NATS:
+        return float("nan")
+    return float((row["twin"] - row[begin]) / possible)
+
+
+def report(rows: list[dict[str, Any]]) -> bool:
+    """Print the table; return whether both goals are met."""
+    print(
+        "| cause | named | default | without causes | twin | truth | recovered | cause recovered |"
+    )
+    print("|---|---|---|---|---|---|---|---|")
+    for row in sorted(rows, key=lambda row: str(row["cause"])):
+        named = ", ".join(row["named"]) or "none"
+        plain = "" if row["plain"] is None else f"{row['plain']:.1f}"
+        cells = [f"{row['default']:.1f}", plain, f"{row['twin']:.1f}", f"{row['truth']:.1f}"]
+        shares = [f"{share(row, begin):.2%}" for begin in ("default", "plain")]
+        print(f"| {' | '.join([row['cause'], named, *cells, *shares])} |")
+    shares = np.array([share(row, "default") for row in rows])
+    is_named = np.array([row["cause"] in row["named"] for row in rows])
+    lowest = float(np.nanmin(shares[is_named])) if is_named.any() else float("nan")
+    cause_shares = np.array([share(row, "plain") for row in rows if row["cause"] in row["named"]])
+    print(
+        f"{len(rows)} sessions: median of recovered {np.nanmedian(shares):.2%}, "
+        f"lowest of the {is_named.sum()} named {lowest:.2%}"
+    )
+    if np.isfinite(cause_shares).any():
+        print(
+            f"cause recovered: median {np.nanmedian(cause_shares):.1%}, lowest "
+            f"{np.nanmin(cause_shares):.1%} of {np.isfinite(cause_shares).sum()}"
+        )
+    return bool(np.nanmedian(shares) >= MEDIAN_GOAL and not lowest < NAMED_GOAL)
+
+
+def main() -> int:
+    """Measure cases until the time; exit with 1 if a goal is missed."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("results", type=Path)
+    parser.add_argument("--until", help="local time HH:MM after which no session begins")
+    parser.add_argument("--cause", action="append", default=[])
+    parser.add_argument("--draws", type=int, default=5)
+    parser.add_argument("--program", default="quick", help="program of the new recording")
+    options = parser.parse_args()
+    cases = [case for case in json.loads(CASES.read_text("utf-8")) if case["kind"] == "one"]
+    text = options.results.read_text("utf-8") if options.results.exists() else ""
+    rows = [json.loads(line) for line in text.splitlines() if line.strip()]
+    finished = {row["seed"] for row in rows}
+    for case in cases:
+        if case["seed"] in finished or (options.cause and case["cause"] not in options.cause):
+            continue
+        if options.until and f"{datetime.now():%H:%M}" >= options.until:
+            break
+        row = measure_case(case, options)
+        rows.append(row)
+        with options.results.open("a", encoding="utf-8") as file:
+            file.write(json.dumps(row) + "\n")
+        print(f"{row['cause']}: named {row['named']}, {share(row, 'default'):.2%}", flush=True)
+    return 0 if rows and report(rows) else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())
