@@ -103,6 +103,7 @@ def causes() -> str:
         out.append(f"| [{name}](#{name}) | {term.part} | {term.scope} | {term.kind} | {hide} |")
     for name, term in known.items():
         out += ["", f"## {name}", "", f"Part: {term.part}. Scope: {term.scope}.", ""]
+        out += [f"Equation: `{term.equation}`.", ""]
         out += [f"Motion or data that show this cause: {_text(term.excitation)}.", ""]
         out.append(
             f"Effect on a calibration that ignores this cause: {_text(term.effect_if_ignored)}."

@@ -6,7 +6,12 @@ stage of the signal path; `term` for the interface of a cause, `term_kinds` for 
 """
 
 from gyrorig_solver.model.board_temperature import BoardTemperature
-from gyrorig_solver.model.catalogue import cause_display_unit, find_term, term_of_law
+from gyrorig_solver.model.catalogue import (
+    cause_display_unit,
+    cause_equation,
+    find_term,
+    term_of_law,
+)
 from gyrorig_solver.model.gain_matrix import (
     FACTOR_NAMES,
     GAIN_NAMES,
@@ -83,6 +88,7 @@ __all__ = [
     "Term",
     "TermParameter",
     "cause_display_unit",
+    "cause_equation",
     "components_of",
     "cross_matrix",
     "dense_signals",

@@ -52,6 +52,12 @@ def cause_display_unit(cause: str, parameter: str, unit: str) -> tuple[float, st
     return display_unit(unit, next(typical_sizes, MIN_PERCENT_RATIO))
 
 
+def cause_equation(cause: str) -> str:
+    """Return the equation of a cause; empty for an id that is not in the catalogue."""
+    term = catalogue().get(cause)
+    return "" if term is None else term.equation
+
+
 def find_term(cause: str) -> Term:
     """Return the cause with an id.
 

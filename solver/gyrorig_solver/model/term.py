@@ -174,6 +174,7 @@ class Term(ABC):
 
     cause: str  # the id in the catalogue; it never changes
     title: str  # one clause for the heading of a report
+    equation: str  # with the names of the parameters; the left side is the value with the cause
     part: Part
     kind: Kind = "effect"
     stage: Stage = "sensor"

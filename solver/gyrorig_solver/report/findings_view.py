@@ -25,6 +25,7 @@ from gyrorig_solver.findings.findings_wording import (
 from gyrorig_solver.model import (
     DEG_PER_RAD,
     cause_display_unit,
+    cause_equation,
     format_quantity,
     format_short,
     group_of,
@@ -233,6 +234,7 @@ def _cause_view(
         "id": cause.cause,
         "part": cause.part,
         "one_of": [_lower_title(other) for other in cause.one_of],
+        "equation": cause_equation(cause.cause),
         "seen_as": cause.evidence.seen_as[:1].upper() + cause.evidence.seen_as[1:],
         "sizes": [
             (

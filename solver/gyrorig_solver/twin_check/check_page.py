@@ -19,8 +19,9 @@ from gyrorig_solver.report.figure_layout import (
     stacked_panels,
 )
 from gyrorig_solver.twin_check.check_wording import (
+    TWIN_ALONE,
     by_key,
-    cause_texts,
+    cause_views,
     difference_text,
     differences,
     gain_text,
@@ -29,9 +30,11 @@ from gyrorig_solver.twin_check.check_wording import (
     manager_text,
     p_text,
     residual_rms,
+    residual_share_text,
     verdict_text,
 )
 from gyrorig_solver.twin_check.feature_comparison import FamilyComparison
+from gyrorig_solver.twin_check.observed_session import AXES
 from gyrorig_solver.twin_check.recording_check import BoardCheck
 from gyrorig_solver.twin_check.session_features import CLOCK_S, SENSOR_AXES
 from gyrorig_solver.twin_check.twin_folder_check import TwinCheck
@@ -43,6 +46,7 @@ TIMING = {
     "jitter": "interval of arrivals, ms",
     "answer_time": "answer of the unit, ms",
 }
+EDGES = ("start_pan", "start_tilt", "end_pan", "end_tilt")
 NOT_DRAWN = ("bias", "clock", *TIMING, "stalls", "speed", "start_delay", "rest_position")
 
 
@@ -57,7 +61,7 @@ def render_check(check: TwinCheck) -> str:
         "headline": "The twin still differs" if differs else "No difference found",
         "manager": manager_text(check),
         "gain": gain_text(check),
-        "causes": cause_texts(check.twin),
+        "equations": cause_views(check.twin),
         "sections": [
             _section(board)
             for board in sorted(check.boards, key=lambda board: not board.is_held_out)
@@ -98,6 +102,9 @@ def _section(board: BoardCheck) -> dict[str, Any]:
         "cause_share": _cause_share_text(board),
         "left": [difference_text(comparison) for comparison in differences(board.after)],
         "rows": rows,
+        "residual_share": residual_share_text(board),
+        "earlier": "default simulation" if board.without_causes is None else TWIN_ALONE,
+        "edges": _edge_figures(board),
         "overlay": close_up,
         "residuals": draw_rates_over_time(
             board.session.block_time_s,
@@ -105,12 +112,27 @@ def _section(board: BoardCheck) -> dict[str, Any]:
             4.6,
         ),
         "timing": _timing_figure(board.after.comparisons),
+        "rests": _rest_figure(by_key(board.after.comparisons).get("rest_position")),
         "figures": [
             {"svg": _family_figure(comparison), "words": comparison.family.title.capitalize()}
             for comparison in board.after.comparisons
-            if comparison.family.key not in NOT_DRAWN
+            if comparison.family.key not in (*NOT_DRAWN, *EDGES)
         ],
     }
+
+
+def _edge_figures(board: BoardCheck) -> list[dict[str, str]]:
+    """Draw the residual after the starts and ends of moves, of the twin and of what was before."""
+    earlier = by_key((board.without_causes or board.before).comparisons)
+    known = by_key(board.after.comparisons)
+    return [
+        {
+            "svg": _family_figure(known[key], earlier.get(key)),
+            "words": known[key].family.title.capitalize(),
+        }
+        for key in EDGES
+        if key in known
+    ]
 
 
 def _calibrated_tile(board: BoardCheck) -> list[tuple[str, float, float]]:
@@ -191,8 +213,38 @@ def _timing_figure(comparisons: Sequence[FamilyComparison]) -> str:
     return figure.svg()
 
 
-def _family_figure(comparison: FamilyComparison) -> str:
-    """Draw the measured features over the band of the twin's draws."""
+def _rest_figure(comparison: FamilyComparison | None) -> str:
+    """Draw the rest positions of the unit minus the ordered ones, over the draws of the twin."""
+    if comparison is None:
+        return ""
+    family = comparison.family
+    figure, panels = stacked_panels(len(AXES), 3.0)
+    for name, panel in zip(AXES, panels, strict=True):
+        rows = np.flatnonzero(
+            [axis == name for axis in family.axis]
+            & np.isfinite(family.values)
+            & np.isfinite(comparison.mean)
+        )
+        x, mean = family.x[rows], comparison.mean[rows]
+        spread = BAND_SIGMA * comparison.std[rows]
+        panel.band(x, mean - spread, mean + spread, colour="var(--band)")
+        panel.plot(x, mean, colour=SOFT, linewidth=1.0, linestyle="--", label="twin")
+        panel.plot(
+            x, family.values[rows], colour=INK, linewidth=0.0, markersize=4.0, label="measured"
+        )
+        panel.ylabel = f"{name}  {family.unit}"
+        panel.has_key = name == AXES[0]
+    panels[-1].xlabel = family.covariate
+    return figure.svg()
+
+
+def _family_figure(comparison: FamilyComparison, earlier: FamilyComparison | None = None) -> str:
+    """Draw the measured features over the band of the twin's draws.
+
+    Args:
+        comparison: with the draws of the twin.
+        earlier: the same of an earlier simulation, to show what the twin has changed.
+    """
     family = comparison.family
     figure, panels = stacked_panels(3, 4.2)
     for axis, panel in enumerate(panels):
@@ -206,6 +258,15 @@ def _family_figure(comparison: FamilyComparison) -> str:
         mean, spread = comparison.mean[rows], BAND_SIGMA * comparison.std[rows]
         panel.band(scale, mean - spread, mean + spread, colour="var(--band)")
         panel.plot(scale, mean, colour=SOFT, linewidth=1.0, linestyle="--", label="twin")
+        if earlier is not None and earlier.family.values.shape == family.values.shape:
+            panel.plot(
+                scale,
+                earlier.family.values[rows],
+                colour=BEFORE,
+                linewidth=1.4,
+                markersize=3.0,
+                label="before",
+            )
         panel.plot(
             scale,
             family.values[rows],

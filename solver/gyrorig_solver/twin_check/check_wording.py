@@ -10,11 +10,14 @@ from typing import Any
 
 import numpy as np
 
-from gyrorig_protocol.twin import Twin
+from gyrorig_protocol.twin import Scalar, Twin
+from gyrorig_solver.model import cause_display_unit, cause_equation, format_quantity
 from gyrorig_solver.twin_check.feature_comparison import FamilyComparison
 from gyrorig_solver.twin_check.recording_check import BoardCheck, StageCheck
 from gyrorig_solver.twin_check.twin_folder_check import TwinCheck
 
+TWIN_ALONE = "twin without its causes"
+EXPLAINABLE_SHARE = 0.2  # rms in units of the noise; a smaller one has no useful share
 FALSE_ALARM = 0.01  # of comparison board in comparison recording, all statistics together
 
 
@@ -57,6 +60,49 @@ def difference_text(comparison: FamilyComparison) -> str:
 def cause_texts(twin: Twin) -> list[str]:
     """Return the causes of the twin, with their places."""
     return [f"{cause.cause.replace('_', ' ')} ({cause.where})" for cause in twin.causes]
+
+
+def cause_views(twin: Twin) -> list[dict[str, str]]:
+    """Return title, equation and fitted values of each cause."""
+    return [
+        {
+            "title": title,
+            "equation": cause_equation(cause.cause),
+            "values": ", ".join(
+                f"{name} {_scalar_text(cause.cause, name, value)}"
+                for name, value in cause.parameters.items()
+            ),
+        }
+        for title, cause in zip(cause_texts(twin), twin.causes, strict=True)
+    ]
+
+
+def _scalar_text(cause: str, name: str, value: Scalar) -> str:
+    factor, unit = cause_display_unit(cause, name.partition(".")[0], value.unit)
+    if not value.std:
+        return f"{_number(value.value * factor)} {unit}".strip()
+    text, std = format_quantity(value.value * factor, value.std * factor)
+    return f"{text.removeprefix('+')} ± {std} {unit}".strip()
+
+
+def residual_share_text(board: BoardCheck) -> str:
+    """Return how much of the residual that is not noise the twin explains; empty if unknown."""
+    noise = noise_rms(board.after)
+    parts = []
+    for stage, name in ((board.before, "default simulation"), (board.without_causes, TWIN_ALONE)):
+        if stage is None:
+            continue
+        explainable = residual_rms(stage) ** 2 - noise**2
+        if explainable <= (EXPLAINABLE_SHARE * noise) ** 2:
+            continue
+        explained = residual_rms(stage) ** 2 - residual_rms(board.after) ** 2
+        parts.append(f"{100.0 * explained / explainable:.2f} % of the {name}'s")
+    if not parts:
+        return ""
+    return (
+        f"Of the mean square of the residual that is not noise, the twin explains "
+        f"{' and '.join(parts)}."
+    )
 
 
 def residual_rms(stage: StageCheck) -> float:

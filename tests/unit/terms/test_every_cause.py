@@ -106,7 +106,7 @@ def test_parameters_are_sound(cause: str) -> None:
 def test_the_card_is_complete(cause: str) -> None:
     term = find_term(cause)
     card = {name for kind in type(term).__mro__ if kind is not Term for name in vars(kind)}
-    assert {"title", "remedy", "covariates", "picture", "part"} <= card
+    assert {"title", "equation", "remedy", "covariates", "picture", "part"} <= card
     assert term.title[0].isupper()
     assert term.title == term.title.rstrip(".")
     assert len(term.remedy) > 10
@@ -116,6 +116,8 @@ def test_the_card_is_complete(cause: str) -> None:
     assert set(term.equivalent_causes) <= set(CAUSES)
     assert term.first_order_equivalent in {"", *CAUSES}
     assert all(p.unit and p.typical_size > 0.0 for p in term.parameters)
+    unnamed = [p.name for p in term.parameters if p.name not in term.equation]
+    assert unnamed == [], f"the equation does not contain {unnamed}"
 
 
 NEW_CAUSE = """

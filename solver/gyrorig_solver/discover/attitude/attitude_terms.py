@@ -43,6 +43,7 @@ class ReferenceSmoothing(LinearTerm):
 
     cause = "reference_smoothing"
     title = "The reference attitudes are smoothed"
+    equation = "reference rate = omega + variance/2 x (d2 omega/dt2 + omega x d omega/dt)"
     part: Part = "environment"
     scope: Scope = "unit"  # the reference replaces a unit
     parameters = (
@@ -105,6 +106,7 @@ class MovingBias(LinearTerm):
     confused_with = ("scale_asymmetry", "scale_quadratic", "g_sensitivity", "dead_zone")
     nameless_description = "on whether the board moves (the bias changes)"
     title = "The bias depends on motion"
+    equation = "y = y + step while the board moves"
     remedy = ""
     covariates = None
     picture = None

@@ -26,6 +26,7 @@ class AccelerationError(AngleTerm):
 
     cause = "acceleration_error"
     title = "The acceleration differs from the command"
+    equation = "acceleration = (1 + share) x commanded acceleration"
     stage = "profile"
     law_quantity = "acceleration"
     parameters = (

@@ -24,6 +24,7 @@ class AxisNonOrthogonality(NonlinearTerm):
 
     cause = "axis_nonorthogonality"
     title = "The pan and tilt axes are not perpendicular"
+    equation = "pan axis in the frame of the tilt axis = (sin angle, 0, cos angle)"
     part = "ptu"
     stage = "axes"
     scope = "unit"

@@ -19,6 +19,7 @@ class AxisSwap(LinearTerm):
 
     cause = "axis_swap"
     title = "Two axes are swapped"
+    equation = "y = P y, where P exchanges the axes of `exchanged`"
     part = "link"
     stage = "readout"
     kind = "gauge"

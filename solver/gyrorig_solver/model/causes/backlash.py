@@ -28,6 +28,9 @@ class Backlash(AngleTerm):
 
     cause = "backlash"
     title = "The gears have backlash"
+    equation = (
+        "stage angle = play(motor angle; gap, begin): the stage follows after the motor crossed gap"
+    )
     stage = "play"
     parameters = (
         size_parameter(

@@ -29,6 +29,7 @@ class BaseCompliance(LinearAngleTerm):
 
     cause = "base_compliance"
     title = "The base of the unit is compliant"
+    equation = "angle = angle - coefficient x d2 angle/dt2"
     depends_on_upstream = True
     parameters = (
         size_parameter(

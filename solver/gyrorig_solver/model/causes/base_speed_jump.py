@@ -25,6 +25,7 @@ class BaseSpeedJump(AngleTerm):
 
     cause = "base_speed_jump"
     title = "The base speed differs from the command"
+    equation = "speed at the start and end of a ramp = base speed + speed"
     stage = "profile"
     law_quantity = "base_speed"
     parameters = (

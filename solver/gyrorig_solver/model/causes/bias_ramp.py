@@ -20,6 +20,7 @@ class BiasRamp(LinearTerm):
 
     cause = "bias_ramp"
     title = "The bias drifts steadily"
+    equation = "y = y + slope x (t - middle of the recording)"
     part = "sensor"
     stage = "bias"
     scope = "recording"

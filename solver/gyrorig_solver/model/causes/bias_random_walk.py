@@ -18,6 +18,7 @@ class BiasRandomWalk(ZeroMeanTerm):
 
     cause = "bias_random_walk"
     title = "The bias follows a random walk"
+    equation = "S(f) of the bias = 2 level^2 / (2 pi f)^2"
     part = "sensor"
     kind = "stochastic"
     parameters = (

@@ -19,6 +19,7 @@ class BiasStep(LinearTerm):
 
     cause = "bias_step"
     title = "The bias stepped"
+    equation = "y = y + step for t >= time"
     part = "sensor"
     stage = "bias"
     scope = "recording"

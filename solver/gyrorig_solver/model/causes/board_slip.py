@@ -22,6 +22,7 @@ class BoardSlip(NonlinearTerm):
 
     cause = "board_slip"
     title = "The board slipped on its mount"
+    equation = "omega = R(turn)^T omega for t >= time"
     part = "mount"
     stage = "mount"
     scope = "recording"

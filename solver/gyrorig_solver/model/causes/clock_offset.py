@@ -17,6 +17,7 @@ class ClockOffset(LinearTerm):
 
     cause = "clock_offset"
     title = "The samples have a time offset"
+    equation = "y(t) = omega(t - offset)"
     part = "clock"
     stage = "clock"
     kind = "gauge"

@@ -32,6 +32,7 @@ class ClockSawtooth(TimeTerm):
 
     cause = "clock_sawtooth"
     title = "A clock drifts and is set right at regular intervals"
+    equation = "true time = t - rate x period x (share of the period since a correction - 1/2)"
     scope = "recording"
     template_search: TemplateSearch = "lag_series"
     holds_shapes: bool = True

@@ -20,6 +20,7 @@ class ClockSkew(TimeTerm):
 
     cause = "clock_skew"
     title = "The clocks drift apart"
+    equation = "true time = t - rate x (t - middle of the recording)"
     scope = "recording"
     parameters = (
         TermParameter("rate", "1", typical_size=3e-5, lower=-0.1, upper=0.1, prior_std=0.02),

@@ -21,6 +21,7 @@ class ClockStep(TimeTerm):
 
     cause = "clock_step"
     title = "A clock stepped"
+    equation = "true time = t - step for t >= time"
     scope = "recording"
     parameters = (
         TermParameter("step", "s", typical_size=2e-3, lower=-1.0, upper=1.0, prior_std=0.1),

@@ -16,6 +16,7 @@ class CorruptSamples(ZeroMeanTerm):
 
     cause = "corrupt_samples"
     title = "Data words are corrupted"
+    equation = "a share of the words has flipped bits"
     part = "link"
     kind = "raw"
     scope = "recording"

@@ -31,6 +31,7 @@ class DeadZone(NonlinearTerm):
 
     cause = "dead_zone"
     title = "Slow rotation is not measured (dead band)"
+    equation = "y_i = 0 where |(G omega)_i| < threshold_i"
     part = "sensor"
     stage = "threshold"
     depends_on_upstream = True

@@ -28,6 +28,7 @@ class EarthRotation(LinearTerm):
 
     cause = "earth_rotation"
     title = "The gyroscope measures the Earth's rotation"
+    equation = "omega = omega + rate x (direction of the Earth's axis in the stage)"
     part = "environment"
     stage = "axes"
     kind = "known"

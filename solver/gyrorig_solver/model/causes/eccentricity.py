@@ -33,6 +33,10 @@ class Eccentricity(LinearAngleTerm):
 
     cause = "eccentricity"
     title = "The gear wheel is eccentric"
+    equation = (
+        "pan = pan + Re(z (exp(-i pan) + w exp(-2 i pan))), z = cosine + i sine, w = oval + "
+        "i oval_across"
+    )
     stage = "wheel"
     parameters = (
         _parameter("cosine"),

@@ -28,6 +28,7 @@ class GSensitivity(LinearTerm):
 
     cause = "g_sensitivity"
     title = "Gravity changes the bias (g-sensitivity)"
+    equation = "y = y + sensitivity f, f = (0, g sin tilt, g cos tilt)"
     part = "sensor"
     parameters = (
         size_parameter(

@@ -19,6 +19,7 @@ class LostSamples(TimeTerm):
 
     cause = "lost_samples"
     title = "Samples are missing"
+    equation = "true time = t + count x sample period for t >= time"
     scope = "recording"
     parameters = (
         TermParameter(

@@ -78,6 +78,7 @@ class LostSteps(LinearAngleTerm):
 
     cause = "lost_steps"
     title = "The motor lost steps"
+    equation = "angle = angle - angle lost for t >= time"
     stage = "rotor"
     scope = "recording"
     parameters = (

@@ -25,6 +25,7 @@ class LowPassLag(NonlinearTerm):
 
     cause = "low_pass_lag"
     title = "The low-pass filter differs from the configuration"
+    equation = "cut-off frequency = stated frequency x exp(log_cutoff)"
     part = "sensor"
     stage = "low_pass"
     parameters = (

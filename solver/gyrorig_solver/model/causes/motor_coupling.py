@@ -28,6 +28,7 @@ class MotorCoupling(LinearTerm):
 
     cause = "motor_coupling"
     title = "A running motor changes the bias"
+    equation = "y = y + pan while pan runs + tilt while tilt runs"
     part = "sensor"
     stage = "bias"
     parameters = (_parameter("pan"), _parameter("tilt"))

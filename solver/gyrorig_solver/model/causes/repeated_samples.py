@@ -15,6 +15,7 @@ class RepeatedSamples(ZeroMeanTerm):
 
     cause = "repeated_samples"
     title = "Samples are repeated"
+    equation = "y_k = y_(k-1) for a share of the samples"
     part = "clock"
     kind = "raw"
     scope = "recording"

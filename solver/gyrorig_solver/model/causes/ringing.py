@@ -22,6 +22,9 @@ class Ringing(LinearAngleTerm):
 
     cause = "ringing"
     title = "The structure rings after each move"
+    equation = (
+        "angle = angle + share q, q'' + 2 damping w q' + w^2 q = -angle'', w = 2 pi frequency"
+    )
     depends_on_upstream = True
     parameters = (
         size_parameter("share", "1", PAN_TILT, typical=0.05, lower=0.0, limit=2.0, prior_std=1.0),

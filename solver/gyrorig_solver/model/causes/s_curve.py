@@ -22,6 +22,7 @@ class SCurve(AngleTerm):
 
     cause = "s_curve"
     title = "The controller rounds its speed ramps"
+    equation = "angle(t) = mean of the angle over [t - length/2, t + length/2]"
     stage = "motor"
     law_quantity = "corner"
     starts_at_typical_size = True

@@ -18,6 +18,7 @@ class SampleJitter(ZeroMeanTerm):
 
     cause = "sample_jitter"
     title = "The sampling times are irregular"
+    equation = "y(t + d), d random with the standard deviation `deviation`"
     part = "clock"
     kind = "stochastic"
     scope = "recording"

@@ -19,6 +19,7 @@ class Saturation(NonlinearTerm):
 
     cause = "saturation"
     title = "The output saturates"
+    equation = "|y| <= full scale x (1 - shortfall)"
     part = "sensor"
     stage = "limit"
     depends_on_upstream = True

@@ -19,6 +19,7 @@ class ScaleAsymmetry(LinearTerm):
 
     cause = "scale_asymmetry"
     title = "The two directions have different scale factors"
+    equation = "y_i = y_i + share_i |(G omega)_i|"
     part = "sensor"
     parameters = (size_parameter("share", "1", XYZ, typical=2e-3, limit=0.05, prior_std=0.02),)
     confused_with = ("scale_quadratic", "vibration_rectification", "motor_coupling")

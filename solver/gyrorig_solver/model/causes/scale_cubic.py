@@ -20,6 +20,7 @@ class ScaleCubic(LinearTerm):
 
     cause = "scale_cubic"
     title = "The rate error grows with the cube of the rate"
+    equation = "y_i = y_i + coefficient_i (G omega)_i^3"
     part = "sensor"
     parameters = (
         size_parameter(

@@ -20,6 +20,7 @@ class ScaleQuadratic(LinearTerm):
 
     cause = "scale_quadratic"
     title = "The rate error grows with the square of the rate"
+    equation = "y_i = y_i + coefficient_i (G omega)_i^2"
     part = "sensor"
     parameters = (
         size_parameter(

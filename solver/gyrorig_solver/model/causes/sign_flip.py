@@ -17,6 +17,7 @@ class SignFlip(LinearTerm):
 
     cause = "sign_flip"
     title = "An axis has the wrong sign"
+    equation = "y_i = -y_i for the axes of `flipped`"
     part = "link"
     stage = "readout"
     kind = "gauge"

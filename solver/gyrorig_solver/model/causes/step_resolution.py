@@ -18,6 +18,7 @@ class StepResolution(LinearAngleTerm):
 
     cause = "step_resolution"
     title = "The step size differs from the configuration"
+    equation = "angle = (1 + share) x stated angle"
     stage = "drive"
     parameters = (size_parameter("share", "1", PAN_TILT, typical=1e-3, limit=0.1, prior_std=0.02),)
     confused_with = ("tilt_sag", "clock_skew", "eccentricity")

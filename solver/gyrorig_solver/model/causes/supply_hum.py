@@ -24,6 +24,7 @@ class SupplyHum(LinearTerm):
 
     cause = "supply_hum"
     title = "The rates contain the mains frequency"
+    equation = "y_i = y_i + cosine_i cos(2 pi frequency t) + sine_i sin(2 pi frequency t)"
     part = "sensor"
     stage = "readout"
     scope = "recording"

@@ -31,6 +31,7 @@ class ThermalBias(LinearTerm):
 
     cause = "thermal_bias"
     title = "Temperature changes the bias"
+    equation = "y_i = y_i + sum of slope_i,p (T - T0)^p, T = temperature + lag x d temperature/dt"
     part = "sensor"
     stage = "bias"
     confused_with = ("warm_up", "bias_ramp", "bias_step", "bias_random_walk")

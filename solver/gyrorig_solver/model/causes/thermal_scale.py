@@ -22,6 +22,7 @@ class ThermalScale(LinearTerm):
 
     cause = "thermal_scale"
     title = "Temperature changes the scale factor"
+    equation = "y_i = y_i + slope_i (T - T0) (G omega)_i"
     part = "sensor"
     parameters = (size_parameter("slope", "1/K", XYZ, typical=1.6e-4, limit=2e-3, prior_std=1e-3),)
     confused_with = ("board_slip", "thermal_bias", "clock_skew")

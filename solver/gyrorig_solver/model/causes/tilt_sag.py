@@ -23,6 +23,7 @@ class TiltSag(LinearAngleTerm):
 
     cause = "tilt_sag"
     title = "The payload bends the tilt axis"
+    equation = "tilt = tilt + cosine cos(tilt) + sine sin(tilt)"
     parameters = (_parameter("cosine"), _parameter("sine"))
     confused_with = ("step_resolution", "axis_nonorthogonality", "board_slip")
     remedy = "balance the payload over the tilt axis"

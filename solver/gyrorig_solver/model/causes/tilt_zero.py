@@ -20,6 +20,7 @@ class TiltZero(NonlinearTerm):
 
     cause = "tilt_zero"
     title = "The tilt zero is wrong"
+    equation = "tilt = tilt + angle"
     part = "ptu"
     stage = "axes"
     kind = "gauge"

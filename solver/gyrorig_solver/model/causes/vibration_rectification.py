@@ -22,6 +22,7 @@ class VibrationRectification(LinearTerm):
 
     cause = "vibration_rectification"
     title = "Vibration changes the bias"
+    equation = "y_i = y_i + coefficient_i ((d pan/dt)^2 + (d tilt/dt)^2)"
     part = "sensor"
     parameters = (
         size_parameter(

@@ -20,6 +20,7 @@ class WarmUp(LinearTerm):
 
     cause = "warm_up"
     title = "The board was still warming up"
+    equation = "y_i = y_i + begin_i exp(-(t - begin of the recording) / time_constant)"
     part = "sensor"
     stage = "bias"
     scope = "recording"

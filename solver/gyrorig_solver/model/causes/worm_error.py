@@ -34,6 +34,7 @@ class WormError(LinearAngleTerm):
 
     cause = "worm_error"
     title = "The worm has a periodic error"
+    equation = "angle = angle + cosine cos(2 pi angle / period) + sine sin(2 pi angle / period)"
     stage = "drive"
     parameters = (
         _parameter("cosine"),

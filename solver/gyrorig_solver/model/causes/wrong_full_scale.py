@@ -18,6 +18,7 @@ class WrongFullScale(NonlinearTerm):
 
     cause = "wrong_full_scale"
     title = "The full scale differs from the configuration"
+    equation = "y = 2^doublings y"
     part = "link"
     stage = "readout"
     kind = "gauge"
