@@ -1,6 +1,7 @@
 """`gyrorig explain`, `solve --extend auto` and `demo --hide` as a stranger runs them.
 
-The emulator hides, the desk finds: two programs that share no code of physics.
+The emulator hides, the desk finds: two programs that share no code of physics. The first test runs
+the installed programs; the others call the same commands in this process.
 """
 
 import hashlib
@@ -11,10 +12,13 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from tests.support.commands_in_process import run_command
 
+from gyrorig_daemon.cli import run as run_daemon
 from gyrorig_protocol.documents import parse_yaml
 from gyrorig_solver.calibration import parse_calibration
 from gyrorig_solver.check import score_causes
+from gyrorig_solver.cli import run as run_solver
 from gyrorig_solver.findings.findings_document import parse_findings
 
 ROOT = Path(__file__).parents[2]
@@ -43,21 +47,28 @@ def gyrorig(*arguments: str) -> subprocess.CompletedProcess[str]:
     )
 
 
-def recorded(folder: Path, *more: str) -> tuple[Path, dict[str, Any]]:
+def recorded(folder: Path, *more: str, in_process: bool = True) -> tuple[Path, dict[str, Any]]:
     folder.mkdir(parents=True, exist_ok=True)
     program, truth = folder / "program.yaml", folder / "truth.yaml"
     program.write_text(PROGRAM)
-    process = subprocess.run(
-        [
-            *(sys.executable, "-m", "gyrorig_daemon", "record", "--simulated-time", "--json"),
-            *("--config", str(ROOT / "config" / "rig.yaml"), "--program", str(program)),
-            *("--out", str(folder), "--truth", str(truth), *more),
-        ],
-        capture_output=True,
-        text=True,
-        check=True,
-    )
+    words = [
+        *("record", "--simulated-time", "--json"),
+        *("--config", str(ROOT / "config" / "rig.yaml"), "--program", str(program)),
+        *("--out", str(folder), "--truth", str(truth), *more),
+    ]
+    if in_process:
+        process = run_command(run_daemon, *words)
+        assert process.returncode == 0, process.stderr
+    else:
+        command = [sys.executable, "-m", "gyrorig_daemon", *words]
+        process = subprocess.run(command, capture_output=True, text=True, check=True)
     return Path(json.loads(process.stdout)["recording"]), parse_yaml(truth.read_bytes(), "truth")
+
+
+@pytest.fixture(scope="module")
+def without_causes(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A recording of a rig without hidden causes."""
+    return recorded(tmp_path_factory.mktemp("without_causes"), "--seed", "8")[0]
 
 
 def judged(judge: Path, *files: Path) -> str:
@@ -70,7 +81,8 @@ def judged(judge: Path, *files: Path) -> str:
 def test_a_hidden_play_is_named_taken_in_and_kept_by_the_contract(
     tmp_path: Path, contract_judge: Path
 ) -> None:
-    path, truth = recorded(tmp_path, "--seed", "21", "--hide", "backlash@pan:0.0015")
+    hidden = ("--seed", "21", "--hide", "backlash@pan:0.0015")
+    path, truth = recorded(tmp_path, *hidden, in_process=False)
     process = gyrorig("explain", str(path), "--out", str(tmp_path / "findings"), "--json")
     assert process.returncode == 0, process.stderr
     (board,) = json.loads(process.stdout)["boards"]
@@ -116,7 +128,8 @@ def test_faults_of_the_link_are_named_from_the_stream(
     hide: str, cause: str, tmp_path: Path
 ) -> None:
     path, truth = recorded(tmp_path, "--seed", "3", "--hide", hide)
-    process = gyrorig("explain", str(path), "--out", str(tmp_path / "findings"), "--json")
+    words = ("explain", str(path), "--out", str(tmp_path / "findings"), "--json")
+    process = run_command(run_solver, *words)
     assert process.returncode == 0, process.stderr
     (board,) = json.loads(process.stdout)["boards"]
     document = parse_findings(Path(board["file"]).read_bytes(), "findings.yaml")
@@ -125,9 +138,9 @@ def test_faults_of_the_link_are_named_from_the_stream(
     ] == [(cause, "right")]
 
 
-def test_a_rig_as_it_should_be_has_no_findings(tmp_path: Path) -> None:
-    path, _ = recorded(tmp_path, "--seed", "8")
-    process = gyrorig("explain", str(path), "--out", str(tmp_path / "findings"))
+def test_a_rig_as_it_should_be_has_no_findings(without_causes: Path, tmp_path: Path) -> None:
+    words = ("explain", str(without_causes), "--out", str(tmp_path / "findings"))
+    process = run_command(run_solver, *words)
     assert process.returncode == 0, process.stderr
     assert "no error found" in process.stdout
     assert "not detectable here" in process.stdout
@@ -163,10 +176,10 @@ def test_the_demo_opens_the_seal_at_the_end(tmp_path: Path) -> None:
     assert all(entry["words"] for entry in board["hidden"])
 
 
-def test_a_fitted_recording_cannot_be_held_out(tmp_path: Path) -> None:
-    path, _ = recorded(tmp_path, "--seed", "8")
-    out = tmp_path / "findings"
-    process = gyrorig("explain", str(path), "--held-out", str(path), "--out", str(out))
+def test_a_fitted_recording_cannot_be_held_out(without_causes: Path, tmp_path: Path) -> None:
+    path, out = without_causes, tmp_path / "findings"
+    words = ("explain", str(path), "--held-out", str(path), "--out", str(out))
+    process = run_command(run_solver, *words)
     assert process.returncode == 2
     assert f"the recording {path.name} is given twice. Give each recording once" in process.stderr
     assert not out.exists()

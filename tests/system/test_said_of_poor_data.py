@@ -1,15 +1,16 @@
 """What the program says of recordings that cannot show everything; through the commands."""
 
 import json
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
 import pytest
+from tests.support.commands_in_process import run_command
+
+from gyrorig_daemon.cli import run as run_daemon
+from gyrorig_solver.cli import run as run_solver
 
 ROOT = Path(__file__).resolve().parents[2]
-BIN = Path(sys.executable).parent
 PAN_ONLY = """\
 schema: gyrorig/program/1
 name: pan-only
@@ -27,15 +28,16 @@ steps:
 
 
 def _record(out: Path, program: Path, *more: str) -> Path:
-    command = [BIN / "gyrorigd", "record", "--simulated-time", "--seed", "2"]
-    command += ["--config", ROOT / "config" / "rig.yaml", "--program", program, "--out", out]
-    subprocess.run([*map(str, command), *more], check=True, capture_output=True)
+    words = ["record", "--simulated-time", "--seed", "2", "--out", str(out)]
+    words += ["--config", str(ROOT / "config" / "rig.yaml"), "--program", str(program)]
+    process = run_command(run_daemon, *words, *more)
+    assert process.returncode == 0, process.stderr
     return next(out.glob("*.mcap"))
 
 
 def _solve(recording: Path, out: Path, *more: str) -> tuple[int, dict[str, Any]]:
-    command = [str(BIN / "gyrorig"), "solve", str(recording), "--out", str(out), "--json", *more]
-    process = subprocess.run(command, check=False, capture_output=True, text=True)
+    words = ("solve", str(recording), "--out", str(out), "--json", *more)
+    process = run_command(run_solver, *words)
     document: dict[str, Any] = json.loads(process.stdout)
     return process.returncode, document["boards"][0]["calibration"]
 
