@@ -61,6 +61,15 @@ class BodyRateSegment:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class DriftCorrection:
+    """What was added to times, because two clocks drift and step."""
+
+    shift_s: FloatArray  # (n,), its mean is zero
+    is_cut: BoolArray  # (n,), a step of a clock follows, and no other jump
+    has_sawtooth: bool
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class AttitudeReference:
     """Attitudes on the capture clock; rows that are not finite are gaps."""
 
@@ -71,6 +80,7 @@ class AttitudeReference:
     repeated: int = 0  # attitudes that repeat the one before them in motion; lost
     is_cut: BoolArray | None = None  # (n,), a jump follows: the next row starts another segment
     even_s: FloatArray | None = None  # (n,), times without jitter; None: those of `time_s`
+    drift: DriftCorrection | None = None  # in `time_s`
 
     def alternatives(self) -> list["AttitudeReference"]:
         """Return the reference with each candidate for its times."""
@@ -81,6 +91,19 @@ class AttitudeReference:
             replace(self, time_s=times.time_s, even_s=None if times.is_even else smoothest_s)
             for times in self.stamps.candidates
         ]
+
+    def without_drift_correction(self) -> "AttitudeReference":
+        """Return the reference on its times before the correction of drift and steps."""
+        if self.drift is None:
+            return self
+        is_cut = None if self.is_cut is None else self.is_cut & ~self.drift.is_cut
+        return replace(
+            self,
+            time_s=self.time_s - self.drift.shift_s,
+            even_s=None if self.even_s is None else self.even_s - self.drift.shift_s,
+            is_cut=None if is_cut is None or not is_cut.any() else is_cut,
+            drift=None,
+        )
 
     def rate_segments(self, min_attitudes: int = MIN_SEGMENT_ATTITUDES) -> list[BodyRateSegment]:
         """Return the segments of at least `min_attitudes` attitudes without a gap."""

@@ -374,14 +374,18 @@ class AttitudeFitSpace(FitSpace):
         return dependences_on(projector, families, len(families))
 
 
-def fit_attitude_space(recordings: Sequence[AttitudeRecording]) -> AttitudeFitSpace:
+def fit_attitude_space(
+    recordings: Sequence[AttitudeRecording], keep_sawtooth: bool = False
+) -> AttitudeFitSpace:
     """Fit the base model; its scores are scaled to their scatter.
 
     Args:
         recordings: of one board; bias and lag are free in each of them.
+        keep_sawtooth: leave the saw-tooth of a clock in the times, so that the cause shows.
 
     Raises:
         InputError: gyro and reference hardly overlap.
     """
     pairs = [(recording.samples, recording.reference) for recording in recordings]
-    return AttitudeFitSpace(AttitudeLinearisation.of(recordings, solve_attitude(pairs)))
+    solved = solve_attitude(pairs, keep_sawtooth=keep_sawtooth)
+    return AttitudeFitSpace(AttitudeLinearisation.of(recordings, solved))

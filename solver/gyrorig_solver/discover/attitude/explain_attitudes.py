@@ -20,6 +20,7 @@ from gyrorig_solver.estimate import GyroFit, free_term
 from gyrorig_solver.model import term_label, value_names
 
 MAX_SEARCHES = 3  # after the first one
+SAWTOOTH = "clock_sawtooth"
 
 
 class NamelessCheck:
@@ -74,8 +75,12 @@ def explain_attitudes(
         InputError: gyro and reference hardly overlap.
     """
     start_s = time.monotonic()
-    base = fit_attitude_space(recordings)
-    model = judge_model(JudgedModel(base, search_attitudes(base)), ATTITUDE_CHECKS)
+    model = _judged_search(fit_attitude_space(recordings, keep_sawtooth=True))
+    if any(resolved.has_sawtooth for resolved in model.space.at.solved.resolved) and not any(
+        fitted_term.term.cause == SAWTOOTH for fitted_term in model.space.fitted_terms
+    ):
+        # The search found nothing for it, so the correction of the times is the better model.
+        model = _judged_search(fit_attitude_space(recordings))
     findings = assemble_findings(model, start_s)
     if held_out is not None:
         gain = gain_on_other_recording(model.space, held_out)
@@ -90,6 +95,11 @@ def explain_attitudes(
         *(remark for verdict in model.verdicts.values() for remark in verdict.remarks),
     ]
     return AttitudeExplanation(findings, model.space.summarize(), model.space, tuple(remarks))
+
+
+def _judged_search(base: AttitudeFitSpace) -> JudgedModel[AttitudeFitSpace]:
+    """Return the result of the search for causes from a base model, judged by the checks."""
+    return judge_model(JudgedModel(base, search_attitudes(base)), ATTITUDE_CHECKS)
 
 
 def search_attitudes(base: AttitudeFitSpace) -> SearchResult[AttitudeFitSpace]:

@@ -76,14 +76,21 @@ class AttitudeFit:
 
 
 def solve_attitude(
-    recordings: Sequence[tuple[GyroSamples, AttitudeReference]], band_hz: float = DEFAULT_BAND_HZ
+    recordings: Sequence[tuple[GyroSamples, AttitudeReference]],
+    band_hz: float = DEFAULT_BAND_HZ,
+    keep_sawtooth: bool = False,
 ) -> AttitudeFit:
     """Run the iterations of the fit; see `fit_attitude`.
+
+    Args:
+        recordings: samples and attitudes, each pair on one time axis.
+        band_hz: higher frequencies are not used.
+        keep_sawtooth: leave the saw-tooth of a clock in the times, for a search for causes.
 
     Raises:
         InputError: gyro and reference hardly overlap.
     """
-    resolved = resolve_all(recordings, band_hz)
+    resolved = resolve_all(recordings, band_hz, keep_sawtooth)
     matches = [
         (recording_index, match_of_track)
         for recording_index, ((samples, _), outcome) in enumerate(
@@ -97,7 +104,9 @@ def solve_attitude(
 
 
 def resolve_all(
-    recordings: Sequence[tuple[GyroSamples, AttitudeReference]], band_hz: float
+    recordings: Sequence[tuple[GyroSamples, AttitudeReference]],
+    band_hz: float,
+    keep_sawtooth: bool = False,
 ) -> tuple[ResolvedReference, ...]:
     """Return each recording's reference on the times of the fit.
 
@@ -105,7 +114,7 @@ def resolve_all(
         InputError: jitter hides which frames of a reference are missing.
     """
     return tuple(
-        resolve_times(samples, reference, band_hz)
+        resolve_times(samples, reference, band_hz, keep_sawtooth)
         if match_segments(samples, reference)
         else ResolvedReference(reference)
         for samples, reference in recordings

@@ -23,6 +23,7 @@ from gyrorig_solver.estimate.attitude.lag_drift import (
     fit_drift,
 )
 from gyrorig_solver.reference import AttitudeReference
+from gyrorig_solver.reference.attitude_reference import DriftCorrection
 from gyrorig_solver.reference.attitude_stamps import MIN_STAMPS
 
 # Another candidate than the smoothest must be better by so many nats.
@@ -43,6 +44,7 @@ class ResolvedReference:
     remarks: tuple[str, ...] = ()
     outliers: int = 0
     step_std_s: float = 0.0  # of the time offset, because the clocks step
+    has_sawtooth: bool = False  # its times have the saw-tooth of a clock
 
     @property
     def offset_std_s(self) -> float:
@@ -59,9 +61,15 @@ class _Candidate:
 
 
 def resolve_times(
-    samples: GyroSamples, reference: AttitudeReference, band_hz: float
+    samples: GyroSamples, reference: AttitudeReference, band_hz: float, keep_sawtooth: bool = False
 ) -> ResolvedReference:
     """Return the reference on the times that agree best with the gyro.
+
+    Args:
+        samples: of one board, on the time axis of the reference.
+        reference: the attitudes as recorded.
+        band_hz: higher frequencies are not used.
+        keep_sawtooth: leave the saw-tooth of a clock in the times, for a search for causes.
 
     Raises:
         InputError: gyro and reference hardly overlap, the quaternions have another convention,
@@ -89,12 +97,19 @@ def resolve_times(
         if text:
             remarks.append(text)
             best = _fit_drift(samples, repaired, band_hz, best.solver.lags_s)
-    drift = _stamp_drift(best.reference)
+    has_sawtooth = best.reference.drift is not None and best.reference.drift.has_sawtooth
+    keep_sawtooth = keep_sawtooth and has_sawtooth
+    resolved = best.reference
+    if keep_sawtooth:
+        uncorrected = resolved.without_drift_correction()
+        resolved = _fit_drift(samples, uncorrected, band_hz, best.solver.lags_s, True).reference
+    drift = _stamp_drift(resolved)
     return ResolvedReference(
-        best.reference,
+        resolved,
         (*remarks, *_drift_remarks(drift)),
         outliers,
-        float(np.linalg.norm(drift.step_s)) / 2.0,
+        drift.step_std_s,
+        keep_sawtooth,
     )
 
 
@@ -140,8 +155,12 @@ def _fit_drift(
     reference: AttitudeReference,
     band_hz: float,
     lags_s: FloatArray | None = None,
+    keep_sawtooth: bool = False,
 ) -> _Candidate:
-    """Fit one reference, and correct its times until the residual shows no drift."""
+    """Fit one reference, and correct its times until the residual shows no drift.
+
+    With `keep_sawtooth`, only the line and the steps beside a saw-tooth are corrected.
+    """
     for iteration in range(MAX_DRIFT_ITERATIONS):
         segments = match_segments(samples, reference)
         if not segments:
@@ -150,6 +169,8 @@ def _fit_drift(
         linearised = solver.run()
         lags_s = solver.lags_s
         drift = estimate_drift(solver)
+        if keep_sawtooth:
+            drift = replace(drift, sawtooth=None)
         if drift.is_none or iteration == MAX_DRIFT_ITERATIONS - 1:
             break
         reference = _corrected(reference, drift)
@@ -160,14 +181,21 @@ def _corrected(attitudes: AttitudeReference, drift: LagDrift) -> AttitudeReferen
     """Return the reference on corrected times; the mean of the correction is zero."""
     correction_s = drift.at(attitudes.time_s)
     correction_s = correction_s - float(np.mean(correction_s))
-    is_cut = drift.cuts(attitudes.time_s)
-    if attitudes.is_cut is not None:
-        is_cut |= attitudes.is_cut
+    is_step = drift.cuts(attitudes.time_s)
+    is_cut = is_step if attitudes.is_cut is None else is_step | attitudes.is_cut
+    total = DriftCorrection(correction_s, is_step, drift.sawtooth is not None)
+    if attitudes.drift is not None:
+        total = DriftCorrection(
+            correction_s + attitudes.drift.shift_s,
+            is_step | attitudes.drift.is_cut,
+            total.has_sawtooth or attitudes.drift.has_sawtooth,
+        )
     return replace(
         attitudes,
         time_s=attitudes.time_s + correction_s,
         even_s=None if attitudes.even_s is None else attitudes.even_s + correction_s,
         is_cut=is_cut if is_cut.any() else None,
+        drift=total,
     )
 
 
@@ -195,6 +223,15 @@ def _drift_remarks(drift: LagDrift) -> list[str]:
         remarks.append(
             f"the clock of the reference attitudes runs {1e6 * abs(drift.skew):.0f} ppm {word} "
             "relative to the gyro's clock; the solver corrected their times"
+        )
+    if drift.sawtooth is not None:
+        word = "slow" if drift.sawtooth_rate > 0.0 else "fast"
+        step_ms = 1e3 * abs(drift.sawtooth_rate) * drift.sawtooth.period_s
+        remarks.append(
+            f"the clock of the reference attitudes runs {1e6 * abs(drift.sawtooth_rate):.0f} ppm "
+            f"{word} relative to the gyro's clock and is set right by {step_ms:.1f} ms every "
+            f"{drift.sawtooth.period_s:.1f} s, or the gyro's clock does the opposite; the solver "
+            "corrected the times of the attitudes"
         )
     steps: list[tuple[float, float]] = []
     for at_s, size_s in zip(drift.step_time_s, drift.step_s, strict=True):

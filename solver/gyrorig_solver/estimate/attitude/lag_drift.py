@@ -3,7 +3,8 @@
 A clock that is fast or slow, or that is set now and then, changes the time offset during the
 recording. The residual of a fit with one time offset shows it: the residual of each second,
 compared with the change of the rate, gives the error of the time offset in that second. A line
-(skew) with steps is fitted to these errors.
+(skew) with steps is fitted to these errors, and a line with a saw-tooth: equal steps at regular
+intervals, of a clock that drifts and is set right. The two models are compared.
 """
 
 from dataclasses import dataclass
@@ -12,45 +13,76 @@ import numpy as np
 
 from gyrorig_solver.data import BoolArray, FloatArray
 from gyrorig_solver.estimate.attitude.attitude_solver import AttitudeSolver, inverse_band_dct
+from gyrorig_solver.estimate.attitude.lag_sawtooth import Sawtooth, WindowLags
 
 WINDOW_S = 1.0  # of one value of the time offset
 # Gains in chi-square: 12 for the slope is 1 in 2000 by chance. A step is looked for in every
 # window, and so needs more.
 MIN_SKEW_GAIN = 12.0
 MIN_STEP_GAIN = 30.0
+# A saw-tooth has two values more than a step, which are looked for in 10 000 pairs.
+MIN_SAWTOOTH_GAIN = 40.0
 MAX_STEPS = 24
 MIN_WINDOWS_PER_STEP = 4  # of motion, on both sides
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LagDrift:
-    """The error of the reference's times: a line with steps."""
+    """The error of the reference's times: a line with steps, and possibly a saw-tooth."""
 
     skew: float  # s/s
     step_time_s: tuple[float, ...]
     step_s: tuple[float, ...]
     middle_s: float
+    sawtooth: Sawtooth | None = None
+    sawtooth_rate: float = 0.0  # s/s, between two corrections
 
     @property
     def is_none(self) -> bool:
-        """True without skew and without steps."""
-        return self.skew == 0.0 and not self.step_time_s
+        """True if the clocks do not drift."""
+        return self.skew == 0.0 and not self.step_time_s and self.sawtooth is None
+
+    @property
+    def step_std_s(self) -> float:
+        """The uncertainty of the time offset, because the clocks step, s."""
+        tooth_s = 0.0 if self.sawtooth is None else self.sawtooth_rate * self.sawtooth.period_s
+        return float(np.linalg.norm([*self.step_s, tooth_s])) / 2.0
 
     def at(self, time_s: FloatArray) -> FloatArray:
         """Return the correction of times, s, (n,); its mean over the times is not zero."""
         correction_s = self.skew * (time_s - self.middle_s)
+        if self.sawtooth is not None:
+            correction_s = correction_s + self.sawtooth_rate * self.sawtooth.at(time_s)
         for at_s, size_s in zip(self.step_time_s, self.step_s, strict=True):
             correction_s = correction_s + size_s * (time_s >= at_s)
         return np.asarray(correction_s, dtype=np.float64)
 
     def cuts(self, time_s: FloatArray) -> BoolArray:
         """Return after which of the times a step follows, (n,)."""
+        steps_s = list(self.step_time_s)
+        if self.sawtooth is not None and time_s.size:
+            steps_s += self.sawtooth.corrections_s(float(time_s[0]), float(time_s[-1]))
         is_cut = np.zeros(time_s.size, dtype=np.bool_)
-        for at_s in self.step_time_s:
+        for at_s in steps_s:
             before = int(np.searchsorted(time_s, at_s)) - 1
             if 0 <= before < time_s.size:
                 is_cut[before] = True
         return is_cut
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _StepModel:
+    """A line with steps in addition to given functions, fitted to the lags of windows."""
+
+    basis: FloatArray  # (n, 2 + j + s): constant, line, j given functions, s steps
+    step_windows: tuple[int, ...]  # the first window after each step
+    residual_s: FloatArray  # (n,)
+    dispersion: float
+
+    def cost(self, lags: WindowLags, dispersion: float) -> float:
+        """Return the chi-square, with the gain that each step must have."""
+        chi2 = float(lags.information @ self.residual_s**2)
+        return chi2 / dispersion + MIN_STEP_GAIN * len(self.step_windows)
 
 
 def estimate_drift(solver: AttitudeSolver) -> LagDrift:
@@ -61,7 +93,7 @@ def estimate_drift(solver: AttitudeSolver) -> LagDrift:
 
 
 def fit_drift(time_s: FloatArray, lag_s: FloatArray, information: FloatArray) -> LagDrift:
-    """Return the line with steps through errors of the time offset.
+    """Return the line with steps, or with a saw-tooth, through errors of the time offset.
 
     Args:
         time_s: of each window, increasing, shape (n,).
@@ -69,30 +101,62 @@ def fit_drift(time_s: FloatArray, lag_s: FloatArray, information: FloatArray) ->
         information: of each window, 1/s^2, shape (n,).
     """
     moving = information > 1e-3 * float(np.median(information))
-    time_s, lag_s, information = time_s[moving], lag_s[moving], information[moving]
-    middle_s = float(information @ time_s / max(information.sum(), 1e-30))
-    if time_s.size < 2 * MIN_WINDOWS_PER_STEP:
+    lags = WindowLags(time_s[moving], lag_s[moving], information[moving], WINDOW_S)
+    middle_s = float(lags.information @ lags.time_s / max(lags.information.sum(), 1e-30))
+    if lags.time_s.size < 2 * MIN_WINDOWS_PER_STEP:
         return LagDrift(0.0, (), (), middle_s)
-    root = np.sqrt(information)
-    basis = np.stack([np.ones(time_s.size), time_s - middle_s], axis=1)
+    line = np.stack([np.ones(lags.time_s.size), lags.time_s - middle_s], axis=1)
+    best = without = _fit_steps(lags, line)
+    best_sawtooth: Sawtooth | None = None
+    # The largest step can be beside the saw-tooth, or one of its corrections.
+    for count in range(1 + min(len(without.step_windows), 1)):
+        sawtooth = lags.fit_sawtooth(without.basis[:, : 2 + count])
+        if sawtooth is None:
+            continue
+        model = _fit_steps(lags, np.column_stack([line, lags.sawtooth_means(sawtooth)]))
+        dispersion = min(best.dispersion, model.dispersion)
+        needed = best.cost(lags, dispersion) + MIN_SAWTOOTH_GAIN * (best_sawtooth is not None)
+        if model.cost(lags, dispersion) + MIN_SAWTOOTH_GAIN < needed:
+            best, best_sawtooth = model, sawtooth
+    return _drift_of(lags, best, middle_s, best_sawtooth)
+
+
+def _fit_steps(lags: WindowLags, basis: FloatArray) -> _StepModel:
+    """Return the given functions with all steps that are significant, one after the other."""
+    root = np.sqrt(lags.information)
     steps: list[int] = []
-    while len(steps) < MAX_STEPS:
-        residual = lag_s - basis @ _weighted_fit(basis, lag_s, root)
-        gain, at = _best_step(basis, residual, root)
-        if gain < MIN_STEP_GAIN * _dispersion(residual, root):
-            break
+    while True:
+        residual_s = lags.lag_s - basis @ _weighted_fit(basis, lags.lag_s, root)
+        dispersion = _dispersion(residual_s, root)
+        gain, at = _best_step(basis, residual_s, root)
+        if gain < MIN_STEP_GAIN * dispersion or len(steps) == MAX_STEPS:
+            return _StepModel(basis, tuple(steps), residual_s, dispersion)
         steps.append(at)
-        basis = np.column_stack([basis, np.arange(time_s.size) >= at])
-    values = _weighted_fit(basis, lag_s, root)
-    residual = lag_s - basis @ values
-    without = np.delete(basis, 1, axis=1)
-    rest = lag_s - without @ _weighted_fit(without, lag_s, root)
-    skew_gain = float(np.sum((root * rest) ** 2) - np.sum((root * residual) ** 2))
-    if skew_gain < MIN_SKEW_GAIN * _dispersion(residual, root):
-        values = np.insert(_weighted_fit(without, lag_s, root), 1, 0.0)
-    step_time_s = tuple(float(0.5 * (time_s[k - 1] + time_s[k])) for k in sorted(steps))
-    sizes = [float(values[2 + k]) for k in np.argsort(steps, kind="stable")]
-    return LagDrift(float(values[1]), step_time_s, tuple(sizes), middle_s)
+        basis = np.column_stack([basis, np.arange(lags.time_s.size) >= at])
+
+
+def _drift_of(
+    lags: WindowLags, model: _StepModel, middle_s: float, sawtooth: Sawtooth | None = None
+) -> LagDrift:
+    """Return the drift of a fitted model, without a slope that is not significant."""
+    root = np.sqrt(lags.information)
+    values = _weighted_fit(model.basis, lags.lag_s, root)
+    without = np.delete(model.basis, 1, axis=1)
+    flat_s = lags.lag_s - without @ _weighted_fit(without, lags.lag_s, root)
+    skew_gain = float(lags.information @ (flat_s**2 - model.residual_s**2))
+    if skew_gain < MIN_SKEW_GAIN * model.dispersion:
+        values = np.insert(_weighted_fit(without, lags.lag_s, root), 1, 0.0)
+    first = model.basis.shape[1] - len(model.step_windows)
+    order = np.argsort(model.step_windows, kind="stable").tolist()
+    windows = [model.step_windows[k] for k in order]
+    return LagDrift(
+        float(values[1]),
+        tuple(float(0.5 * (lags.time_s[k - 1] + lags.time_s[k])) for k in windows),
+        tuple(float(values[first + k]) for k in order),
+        middle_s,
+        sawtooth,
+        0.0 if sawtooth is None else float(values[2]),
+    )
 
 
 def _window_lags(solver: AttitudeSolver) -> tuple[FloatArray, FloatArray, FloatArray]:

@@ -11,8 +11,16 @@ from gyrorig_protocol.recording.recording import Recording, times_ns
 from gyrorig_solver.data.metadata_numbers import positive_number
 from gyrorig_solver.data.samples import GyroSamples
 from gyrorig_solver.discover import criticise_fit
-from gyrorig_solver.discover.attitude.attitude_space import AttitudeRecording, fit_attitude_space
-from gyrorig_solver.discover.attitude.explain_attitudes import explain_attitudes, extend_attitudes
+from gyrorig_solver.discover.attitude.attitude_space import (
+    AttitudeFitSpace,
+    AttitudeRecording,
+    fit_attitude_space,
+)
+from gyrorig_solver.discover.attitude.explain_attitudes import (
+    SAWTOOTH,
+    explain_attitudes,
+    extend_attitudes,
+)
 from gyrorig_solver.estimate import FittedTerm, GyroFit
 from gyrorig_solver.pipeline.board_data import BoardData, load_board
 from gyrorig_solver.pipeline.board_results import (
@@ -45,16 +53,12 @@ class AttitudeKind(ReferenceKind):
     ) -> GyroFit:
         del named_terms  # `fit_explained` has the fit with them
         check_fittable(extend)
-        space, remarks = extend_attitudes(
-            fit_attitude_space(load_attitude_recordings(data)), extend
-        )
+        space, remarks = _extended_space(data, extend)
         return space.summarize(remarks)
 
     def fit_criticised(self, data: BoardData, requested: Sequence[str]) -> CriticisedFit:
         check_fittable(requested)
-        space, remarks = extend_attitudes(
-            fit_attitude_space(load_attitude_recordings(data)), requested
-        )
+        space, remarks = _extended_space(data, requested)
         return CriticisedFit(
             space.summarize(remarks), None, criticism=criticise_fit(space), attitude_space=space
         )
@@ -97,6 +101,14 @@ class AttitudeKind(ReferenceKind):
 
 
 KIND = AttitudeKind()
+
+
+def _extended_space(
+    data: BoardData, requested: Sequence[str]
+) -> tuple[AttitudeFitSpace, tuple[str, ...]]:
+    """Return the fit of a board with requested causes, and the remarks about them."""
+    base = fit_attitude_space(load_attitude_recordings(data), keep_sawtooth=SAWTOOTH in requested)
+    return extend_attitudes(base, requested)
 
 
 def has_attitudes(recording: Recording) -> bool:
