@@ -200,10 +200,13 @@ class AttitudeSolver:
             cleaned = self.clean_segment(segment_index)
             glitches += cleaned.glitches
             constant = dct(self.segments[segment_index].bias_share, norm="ortho")
-            rates.append(dct(cleaned.rate, axis=0, norm="ortho")[in_band])
-            slopes.append(dct(cleaned.slope, axis=0, norm="ortho")[in_band])
-            residuals.append(dct(cleaned.residual, axis=0, norm="ortho")[in_band])
-            gyro_spectra.append(dct(cleaned.measured, axis=0, norm="ortho")[1:])
+            # One transform of all columns is faster than four.
+            columns = (cleaned.rate, cleaned.slope, cleaned.residual, cleaned.measured)
+            spectra = np.split(dct(np.column_stack(columns), axis=0, norm="ortho"), 4, axis=1)
+            rates.append(spectra[0][in_band])
+            slopes.append(spectra[1][in_band])
+            residuals.append(spectra[2][in_band])
+            gyro_spectra.append(spectra[3][1:])
             constants.append(constant[in_band])
         residual = np.concatenate(residuals)
         variance = _binned_power(residual**2, self.bin, self.frequency_hz, self._leverage)
@@ -362,8 +365,10 @@ def _gyro_noise_floor(totals: Sequence[FloatArray]) -> FloatArray:
     """
     lowest = np.full(3, np.inf)
     for total in totals:
-        for block in np.array_split(total, max(1, total.shape[0] // 64)):
-            lowest = np.minimum(lowest, np.mean(block**2, axis=0))
+        length, longer = divmod(total.shape[0], max(1, total.shape[0] // 64))
+        lengths = length + (np.arange(max(1, total.shape[0] // 64)) < longer)
+        sums = np.add.reduceat(total**2, np.cumsum(lengths) - lengths, axis=0)
+        lowest = np.minimum(lowest, np.min(sums / lengths[:, None], axis=0))
     return lowest
 
 
