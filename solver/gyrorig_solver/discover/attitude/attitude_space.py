@@ -11,28 +11,26 @@ from typing import Self
 
 import numpy as np
 
-from gyrorig_solver.data import FloatArray, IntArray
+from gyrorig_solver.data import FloatArray
 from gyrorig_solver.data.samples import GyroSamples
 from gyrorig_solver.discover.attitude.attitude_terms import attitude_families, attitude_terms
+from gyrorig_solver.discover.attitude.cause_effects import CONVERGED, CauseEffects
 from gyrorig_solver.discover.calibration_changes import (
     CALIBRATION_PARAMETERS,
     CalibrationValues,
     last_recording_part,
 )
-from gyrorig_solver.discover.candidate_objective import MIN_STEP_GAIN_NATS, CandidateObjective
 from gyrorig_solver.discover.cause_findings import DependenceTest
 from gyrorig_solver.discover.checks.residual_dependence import dependences_on
 from gyrorig_solver.discover.checks.smooth_alternatives import smooth_families
 from gyrorig_solver.discover.fit_space import FitSpace, SearchEffort
 from gyrorig_solver.estimate import (
     MAX_EVALUATIONS,
-    Convergence,
     FittedTerm,
     GyroFit,
     NuisanceProjector,
     ObservabilityAnalysis,
     ParameterLayout,
-    WhitenedSignals,
     total_effect,
 )
 from gyrorig_solver.estimate.attitude.attitude_fit import (
@@ -45,22 +43,20 @@ from gyrorig_solver.estimate.attitude.attitude_fit import (
 )
 from gyrorig_solver.estimate.attitude.attitude_projector import AttitudeProjector
 from gyrorig_solver.estimate.attitude.block_segments import AccelerometerReadings
-from gyrorig_solver.estimate.cascade import fitted_derivatives
 from gyrorig_solver.estimate.fit_summary import build_gyro_fit
 from gyrorig_solver.estimate.trust_region import NotConvergedError
 from gyrorig_solver.model import (
     RecordingContext,
-    SignalState,
     factor_jacobian,
     factorise,
-    value_parameters,
 )
 from gyrorig_solver.reference import AttitudeReference
 
-CONVERGED = Convergence(True, 0, 0.0)
 COARSE_DETAIL = 6.0  # half waves: most causes are as smooth
 MAX_LINEARISATIONS = 8
 CONVERGED_SIGMA = 0.01  # of the largest change of a parameter
+SMALL_CHANGE_SIGMA = 0.5  # if the changes grow again after this, the smallest one counts
+MAX_CHANGE_SIGMA = 1.0  # of a fit that is stated
 REMEDY_WITHOUT_CONVERGENCE = (
     "leave out a cause, or run `gyrorig explain` to find the causes that the recording shows"
 )
@@ -74,59 +70,6 @@ class AttitudeRecording:
     samples: GyroSamples
     reference: AttitudeReference
     context: RecordingContext
-
-
-class CauseEffects(CandidateObjective):
-    """Several causes at their most likely values, fitted as one candidate."""
-
-    def __init__(
-        self,
-        projector: AttitudeProjector,
-        fitted_terms: Sequence[FittedTerm],
-        max_iterations: int,
-    ) -> None:
-        """Fit the causes; `projector`: at the base fit, without any cause."""
-        self.projector, self.fitted_terms = projector, tuple(fitted_terms)
-        self.convergence, self.cost = CONVERGED, 0.0  # nats, relative to the fit without causes
-        self.max_iterations, self.events = max_iterations, []
-        parameters = (value_parameters(term.term) for term in fitted_terms)
-        self.parameters = tuple(p for each in parameters for p in each)
-        counts = [term.values.size for term in fitted_terms]
-        self._first = np.cumsum([0, *counts], dtype=np.int64)
-        free = [at + t.free_indices for at, t in zip(self._first, fitted_terms, strict=False)]
-        self.free: IntArray = np.concatenate([np.zeros(0, np.int64), *free])
-        if self.free.size:
-            start = np.concatenate([term.values for term in fitted_terms])
-            best = self.minimize(start)
-            self.fitted_terms, self.cost = self._terms_at(best.values), best.cost
-            step, remaining_nats = self.step_from(best, self.free, 0.0)
-            sigmas = np.abs(step) * np.sqrt(np.clip(np.diag(best.curvature), 0.0, None))
-            names = [name for term in fitted_terms for name in term.names]
-            moving = int(np.argmax(sigmas))
-            self.convergence = Convergence(
-                remaining_nats < MIN_STEP_GAIN_NATS,
-                max_iterations,
-                remaining_nats,
-                names[moving],
-                float(sigmas[moving]),
-            )
-
-    def derivatives(self, values: FloatArray, free: IntArray) -> WhitenedSignals:
-        """Return the derivatives by the free values and, last, the whole effect, whitened."""
-        del free  # always those of the causes
-        terms = self._terms_at(values)
-
-        def signals(state: SignalState) -> FloatArray:
-            return np.concatenate(
-                [fitted_derivatives(terms, state), total_effect(terms, state)[None]]
-            )
-
-        return self.projector.evaluate_signals(signals)
-
-    def _terms_at(self, values: FloatArray) -> tuple[FittedTerm, ...]:
-        parts = np.split(values, self._first[1:-1])
-        pairs = zip(self.fitted_terms, parts, strict=True)
-        return tuple(replace(term, values=part) for term, part in pairs)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -252,37 +195,51 @@ class AttitudeFitSpace(FitSpace):
 
         The fit of gain, biases and lags is repeated without the effects of the causes, and the
         causes are fitted again there, until nothing changes. The noise is that of the residual
-        without the causes.
+        without the causes. A large cause can lead the steps away again, after they were near the
+        point: then the fit with the smallest change is returned.
         """
-        space = self
+        space, best, smallest, moving = self, self, np.inf, ""
         for _ in range(MAX_LINEARISATIONS):
-            effects = {
-                segment.solver_segment: segment.effect_at_steps(
-                    total_effect(space.fitted_terms, segment.state), track.begin_s, track.end_s
-                )
-                for segment in space.base.block_segments
-                for track in [space.at.solved.solver.segments[segment.solver_segment].track]
-            }
-            solved = solve_without_effects(space.at.solved, effects)
-            at = AttitudeLinearisation.of(space.at.recordings, solved, space.fitted_terms)
-            before = space
-            fitted_effects = CauseEffects(at.projector, space.fitted_terms, MAX_EVALUATIONS)
-            space = type(self)(at, fitted_effects, self.effort)
-            if space._largest_change_sigma(before) < CONVERGED_SIGMA:
+            before, space = space, space._linearised_again()
+            change, name = space._largest_change_sigma(before)
+            if change < smallest:
+                best, smallest, moving = space, change, name
+            if change < CONVERGED_SIGMA or smallest < min(change, SMALL_CHANGE_SIGMA):
                 break
-        return space
+        if smallest > MAX_CHANGE_SIGMA:
+            best.convergence = replace(
+                best.convergence, converged=False, moving=moving, moving_sigma=smallest
+            )
+        return best
 
-    def _largest_change_sigma(self, other: Self) -> float:
-        """Return the largest change of a parameter or a cause's value from another fit."""
-        std = self.observability.covariance.diagonal() + (
-            self.observability.unobservable_covariance.diagonal()
+    def _linearised_again(self) -> Self:
+        """Return the fit about that of gain, biases and lags without the effects of the causes."""
+        effects = {
+            segment.solver_segment: segment.effect_at_steps(
+                total_effect(self.fitted_terms, segment.state), track.begin_s, track.end_s
+            )
+            for segment in self.base.block_segments
+            for track in [self.at.solved.solver.segments[segment.solver_segment].track]
+        }
+        solved = solve_without_effects(self.at.solved, effects)
+        at = AttitudeLinearisation.of(self.at.recordings, solved, self.fitted_terms)
+        fitted_effects = CauseEffects(at.projector, self.fitted_terms, MAX_EVALUATIONS)
+        return type(self)(at, fitted_effects, self.effort)
+
+    def _largest_change_sigma(self, other: Self) -> tuple[float, str]:
+        """Return the largest change of a value from another fit, and its name."""
+        std = np.sqrt(
+            self.observability.covariance.diagonal()
+            + self.observability.unobservable_covariance.diagonal()
         )
         causes = [
             (mine.values - before.values)[mine.free_indices]
             for mine, before in zip(self.fitted_terms, other.fitted_terms, strict=True)
         ]
         change = self.at.calibration.values - other.at.calibration.values
-        return float(np.max(np.abs(np.concatenate([change, *causes])) / np.sqrt(std)))
+        sigma = np.abs(np.concatenate([change, *causes])) / std
+        names = (*CALIBRATION_PARAMETERS, *(n for term in self.fitted_terms for n in term.names))
+        return float(np.max(sigma)), names[int(np.argmax(sigma))]
 
     def negative_log_likelihood(self, noise_of: Self) -> float:
         """Return that of the fit, relative to the base model; there is one noise only."""
