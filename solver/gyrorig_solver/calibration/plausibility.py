@@ -12,7 +12,7 @@ NBS 87 (1982) 377.
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -22,7 +22,7 @@ from gyrorig_solver.calibration.verdict import Verdict
 from gyrorig_solver.discover import CALIBRATION_PARAMETERS
 from gyrorig_solver.estimate import GyroFit
 from gyrorig_solver.model import format_short, group_of
-from gyrorig_solver.uncertainty import DataSheetEntry, UncertaintyBudget
+from gyrorig_solver.uncertainty import OtherEntry, UncertaintyBudget
 
 MAX_SIGMA = 4.0  # prior and data together; above it the value is not plausible
 # A data sheet's limits are two standard deviations. The smallest values: mounting, ageing.
@@ -110,15 +110,7 @@ def widen_by_conflicts(
         return budget
     excess = {conflict.parameter: conflict.excess_std for conflict in conflicts}
     added = np.array([excess.get(name, 0.0) for name in CALIBRATION_PARAMETERS])
-    mixture = budget.mixture
-    if mixture is not None:
-        mixture = replace(mixture, variance=mixture.variance + added**2)
-    return replace(
-        budget,
-        covariance=budget.covariance + np.diag(added**2),
-        entries=(*budget.entries, DataSheetEntry(added, REMEDY)),
-        mixture=mixture,
-    )
+    return budget.widened(OtherEntry("data_sheet", added, REMEDY))
 
 
 def _priors(

@@ -25,7 +25,7 @@ from gyrorig_solver.calibration.uncertainty_wording import contribution_name, ma
 from gyrorig_solver.discover import CALIBRATION_PARAMETERS
 from gyrorig_solver.model import PARAMETER_GROUPS, format_short, group_of, parameter_label
 from gyrorig_solver.numerics import normal_upper_tail
-from gyrorig_solver.uncertainty import DataSheetEntry, UncertaintyBudget
+from gyrorig_solver.uncertainty import OtherEntry, UncertaintyBudget
 from gyrorig_solver.uncertainty.uncertainty_budget import BudgetEntry
 
 COVERAGE_FACTOR = 2.0  # of an interval if all errors are normal
@@ -124,7 +124,7 @@ def _base_values(
 
 
 def _budget_rows(
-    name: str, index: int, total: float, entries: Sequence[BudgetEntry | DataSheetEntry]
+    name: str, index: int, total: float, entries: Sequence[BudgetEntry | OtherEntry]
 ) -> list[BudgetRow]:
     order = np.argsort([-entry.std[index] for entry in entries], kind="stable")[:MAX_ROWS]
     rows = []

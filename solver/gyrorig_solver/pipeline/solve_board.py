@@ -34,8 +34,10 @@ from gyrorig_solver.calibration.plausibility import (
 )
 from gyrorig_solver.calibration.provenance import build_provenance
 from gyrorig_solver.calibration.total_uncertainty import with_total_uncertainty
+from gyrorig_solver.calibration.unexplained_effect import widen_by_unexplained
 from gyrorig_solver.estimate import GyroFit
 from gyrorig_solver.findings import to_yaml as findings_yaml
+from gyrorig_solver.findings.findings_builder import unexplained_bias_sigma
 from gyrorig_solver.model.catalogue import catalogue
 from gyrorig_solver.pipeline.assessed_fit import AssessedFit, add_to_unit, assess_fit
 from gyrorig_solver.pipeline.board_data import BoardData, load_board
@@ -45,7 +47,7 @@ from gyrorig_solver.pipeline.criticism_verdict import add_criticism, add_finding
 from gyrorig_solver.pipeline.explain_board import build_document, findings_page
 from gyrorig_solver.pipeline.unit_prior import UnitKnowledge
 from gyrorig_solver.report import ReportData, render_calibration
-from gyrorig_solver.uncertainty import UncertaintySettings, default_settings
+from gyrorig_solver.uncertainty import UncertaintyBudget, UncertaintySettings, default_settings
 
 FINDINGS_SUFFIX = ".findings.yaml"
 
@@ -158,13 +160,27 @@ def _likelihood_document(
     trust = add_conflicts(document.trust, conflicts, profile)
     document = msgspec.structs.replace(document, trust=trust)
     if assessed.budget is not None:
-        budget = widen_by_conflicts(assessed.budget, conflicts)
+        budget = _widened_budget(assessed.budget, criticised, assessed.fit)
+        budget = widen_by_conflicts(budget, conflicts)
         document = with_total_uncertainty(document, budget)
     if criticised.explanation is not None:
         return with_search_findings(document, criticised.explanation)
     if criticised.criticism is not None:
         return add_criticism(document, criticised.criticism)
     return document
+
+
+def _widened_budget(
+    budget: UncertaintyBudget, criticised: CriticisedFit, fit: GyroFit
+) -> UncertaintyBudget:
+    """Return the budget with the effect of a reference by others that no cause explains."""
+    explanation = criticised.explanation
+    if explanation is None or criticised.attitude_space is None:
+        return budget
+    unexplained = explanation.findings.unexplained
+    if unexplained is None:
+        return budget
+    return widen_by_unexplained(budget, fit, unexplained_bias_sigma(unexplained))
 
 
 def _as_version(

@@ -7,7 +7,7 @@ the total, `mixture_interval` for that of the intervals.
 """
 
 from gyrorig_solver.uncertainty.uncertainty_budget import (
-    DataSheetEntry,
+    OtherEntry,
     UncertaintyBudget,
     assess_space,
     assess_uncertainty,
@@ -20,7 +20,7 @@ from gyrorig_solver.uncertainty.uncertainty_settings import (
 from gyrorig_solver.uncertainty.unit_values import UnitPosterior
 
 __all__ = [
-    "DataSheetEntry",
+    "OtherEntry",
     "UncertaintyBudget",
     "UncertaintySettings",
     "UnitPosterior",

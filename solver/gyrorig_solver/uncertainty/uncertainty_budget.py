@@ -65,12 +65,12 @@ class BudgetEntry:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class DataSheetEntry:
-    """What the difference from the part's data sheet contributes to each parameter, SI."""
+class OtherEntry:
+    """What contributes to each parameter and is no cause of the catalogue, SI."""
 
+    cause: str  # the id in the budget
     std: FloatArray  # (p,)
     remedy: str
-    cause = "data_sheet"
     place: str | None = None
 
 
@@ -80,7 +80,7 @@ class UncertaintyBudget:
 
     covariance: FloatArray  # (p, p), of the causes given the data
     expected_error: FloatArray  # (p,), of the stated values, as far as the data show causes
-    entries: tuple[BudgetEntry | DataSheetEntry, ...]
+    entries: tuple[BudgetEntry | OtherEntry, ...]
     settings: UncertaintySettings
     corrections: tuple[FitCorrection, ...] = ()  # of each recording, by what the unit is known for
     unit_information: UnitInformation | None = None  # what the recordings show of the unit
@@ -93,6 +93,18 @@ class UncertaintyBudget:
         The expected error is not corrected in the stated values, therefore its square counts.
         """
         return np.sqrt(np.clip(np.diag(self.covariance), 0.0, None) + self.expected_error**2)
+
+    def widened(self, entry: OtherEntry) -> "UncertaintyBudget":
+        """Return the budget with one more contribution, which no other one contains."""
+        mixture = self.mixture
+        if mixture is not None:
+            mixture = replace(mixture, variance=mixture.variance + entry.std**2)
+        return replace(
+            self,
+            covariance=self.covariance + np.diag(entry.std**2),
+            entries=(*self.entries, entry),
+            mixture=mixture,
+        )
 
     def expanded_uncertainty(self, noise_std: FloatArray, probability: float) -> FloatArray:
         """Return U of each parameter, (p,): the true value is in the stated value ± U.
