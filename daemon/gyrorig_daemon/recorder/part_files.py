@@ -8,11 +8,13 @@ state at the start of a part comes from `state_replay`.
 
 import threading
 from collections.abc import Callable, Mapping, Sequence
+from concurrent import futures
+from concurrent.futures import Future
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-from gyrorig_daemon.recorder.disk_worker import DiskJob, DiskWorker
+from gyrorig_daemon.recorder.disk_worker import DiskWorker
 from gyrorig_daemon.recorder.recorder_counts import RecorderCounts
 from gyrorig_daemon.recorder.recorder_settings import RecorderSettings, RecordingPlan
 from gyrorig_protocol.errors import GyrorigError, MachineError
@@ -165,7 +167,7 @@ class NextPart:
 
     def __init__(self, worker: DiskWorker, opener: PartOpener) -> None:
         self._worker, self._opener = worker, opener
-        self._job: DiskJob[OpenedPart] | None = None
+        self._job: Future[OpenedPart] | None = None
 
     @property
     def is_opening(self) -> bool:
@@ -179,15 +181,15 @@ class NextPart:
     def wait(self) -> None:
         """Wait until it is open or has failed."""
         if self._job is not None:
-            self._job.wait()
+            futures.wait([self._job])
 
-    def take(self) -> OpenedPart | Exception | None:
+    def take(self) -> OpenedPart | BaseException | None:
         """Return the part or the error, once; None while it is being opened."""
         job = self._job
-        if job is None or not job.is_done:
+        if job is None or not job.done():
             return None
         self._job = None
-        return job.result() if job.error is None else job.error
+        return job.exception() or job.result()
 
     def discard(self) -> None:
         """Discard a part that is being opened: it would be empty."""
@@ -202,7 +204,7 @@ class SpaceCheck:
 
     def __init__(self, worker: DiskWorker, opener: PartOpener) -> None:
         self._worker, self._opener = worker, opener
-        self._job: DiskJob[int] | None = None
+        self._job: Future[int] | None = None
 
     @property
     def is_running(self) -> bool:
@@ -216,10 +218,10 @@ class SpaceCheck:
     def take_answer(self) -> int | None:
         """Return the free bytes once they are known, None before or if the disk failed."""
         job = self._job
-        if job is None or not job.is_done:
+        if job is None or not job.done():
             return None
         self._job = None
-        return job.result() if job.error is None else None
+        return job.result() if job.exception() is None else None
 
 
 class PartCloser:
@@ -229,7 +231,7 @@ class PartCloser:
 
     def __init__(self, worker: DiskWorker, counts: RecorderCounts) -> None:
         self._worker, self._counts = worker, counts
-        self._jobs: list[DiskJob[Path]] = []
+        self._jobs: list[Future[Path]] = []
 
     @property
     def is_full(self) -> bool:
@@ -242,9 +244,9 @@ class PartCloser:
 
     def count_finished(self) -> None:
         """Count the files that are closed."""
-        for job in [job for job in self._jobs if job.is_done]:
+        for job in [job for job in self._jobs if job.done()]:
             self._jobs.remove(job)
-            if job.error is None:
+            if job.exception() is None:
                 self._counts.parts_closed += 1
             else:
                 self._counts.close_failures += 1
@@ -256,7 +258,6 @@ class PartCloser:
             MachineError: the last one could not be closed.
         """
         jobs = list(self._jobs)
-        for job in jobs:
-            job.wait()
+        futures.wait(jobs)
         self.count_finished()
         return jobs[-1].result() if jobs else None

@@ -107,7 +107,6 @@ class PartWriter:
             MachineError: the disk fails, or has less free space than the reserve.
         """
         job = self._worker.submit(lambda: self._opener.open(0, "", self._settings.resume_bytes))
-        job.wait()
         self._switch_to_part(job.result())
         self._sync_tracker.sync()
 
@@ -308,7 +307,7 @@ class PartWriter:
                 self._stop_for_space()
         self._closer.count_finished()
 
-    def _handle_open_failure(self, error: Exception) -> None:
+    def _handle_open_failure(self, error: BaseException) -> None:
         if isinstance(error, UsageError):  # a file of that name exists: take the next number
             self._part_number += 1
             return

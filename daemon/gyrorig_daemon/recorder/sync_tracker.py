@@ -6,9 +6,11 @@ loses what the system had in memory. Therefore messages that are not synced are 
 
 import errno
 import math
+import time
 from collections import deque
+from concurrent.futures import Future
 
-from gyrorig_daemon.recorder.disk_worker import DiskJob, DiskWorker
+from gyrorig_daemon.recorder.disk_worker import DiskWorker
 from gyrorig_daemon.recorder.ram_buffer import Record
 from gyrorig_daemon.recorder.recorder_counts import RecorderCounts
 from gyrorig_protocol.errors import MachineError
@@ -27,8 +29,9 @@ class SyncTracker:
         self._written_count = 0  # messages written to the file
         self._synced_count = 0  # of those, on the disk
         self.synced_bytes = writer.bytes_written  # initially the header of the file
-        self._job: DiskJob[None] | None = None
+        self._job: Future[None] | None = None
         self._job_extent = (0, 0)  # messages and bytes
+        self._sync_ns = 0  # duration of the last sync
 
     @property
     def is_empty(self) -> bool:
@@ -54,21 +57,29 @@ class SyncTracker:
         """Sync what is complete by now, in the disk thread."""
         writer = self._writer
         self._job_extent = self._written_count - writer.waiting_messages, writer.bytes_written
-        self._job = self._worker.submit(writer.sync)
+        self._job = self._worker.submit(self._sync_file)
+
+    def _sync_file(self) -> None:
+        start_ns = time.monotonic_ns()
+        try:
+            self._writer.sync()
+        finally:
+            # In simulated time, the same seed must give the same bytes.
+            self._sync_ns = time.monotonic_ns() - start_ns if self._worker.threaded else 0
 
     def poll_sync(self) -> OSError | None:
         """Collect the result of a finished sync; return its error."""
         job = self._job
-        if job is None or not job.is_done:
+        if job is None or not job.done():
             return None
         self._job = None
-        counts, duration_ms = self._counts, math.ceil(job.duration_ns / _MS_NS)
+        counts, duration_ms = self._counts, math.ceil(self._sync_ns / _MS_NS)
         counts.syncs += 1
         counts.sync_last_ms = duration_ms
         counts.sync_max_ms = max(counts.sync_max_ms, duration_ms)
-        if job.error is not None:
+        if (error := job.exception()) is not None:
             # Whatever the error number, data since the last sync may be lost.
-            return OSError(errno.EIO, getattr(job.error, "strerror", None) or str(job.error))
+            return OSError(errno.EIO, getattr(error, "strerror", None) or str(error))
         self._synced_count, self.synced_bytes = self._job_extent
         records = self._records
         while records and self._written_count - len(records) < self._synced_count:

@@ -35,7 +35,7 @@ from gyrorig_daemon.motion import (
     plan_replay,
 )
 from gyrorig_daemon.recorder import Recorder, RecordingPlan
-from gyrorig_daemon.recorder.background_close import BackgroundClose
+from gyrorig_daemon.recorder.disk_worker import call_in_thread
 from gyrorig_daemon.recorder.ptu_log import PtuLog
 from gyrorig_daemon.recorder.session_timers import DiagnosticsTimer, HostClockTimer, WriterTimer
 from gyrorig_daemon.session.connected_rig import Rig
@@ -322,13 +322,12 @@ class Session:
         self._stop_listening()
         if not self._environment.threaded_writer:
             return self.recorder.close()
-        closing = BackgroundClose(self.recorder, self._environment.close_timeout_s)
+        timeout_s = self._environment.close_timeout_s
+        closing = call_in_thread(lambda: self.recorder.close(timeout_s), "closing")
         with contextlib.suppress(PortsGoneError):
-            while closing.is_alive():
-                self._pump.run_until(
-                    self._pump.now_ns() + CLOSE_POLL_NS, lambda: not closing.is_alive()
-                )
-        return closing.path()
+            while not closing.done():
+                self._pump.run_until(self._pump.now_ns() + CLOSE_POLL_NS, closing.done)
+        return closing.result()
 
     def _stop_listening(self) -> None:
         for timer in self._timers:
