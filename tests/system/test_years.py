@@ -18,5 +18,7 @@ def test_three_days_lose_nothing(tmp_path: Path) -> None:
     assert soak.faults == []
     assert soak.missing == 0
     assert soak.samples > 10_000
-    assert soak.batch["ok"] == len(plans)
+    # The part that the full disk interrupted is recovered later, and its session is solved again.
+    assert soak.batch["ok"] >= len(plans)
+    assert set(soak.batch) == {"ok"}
     assert soak.started["nightly"] >= len(plans) - 1  # the killed one is in another process
