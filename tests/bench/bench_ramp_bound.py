@@ -5,8 +5,8 @@
 
 Neither effect depends on the motion, so a rest of the same duration, with a known gain, is at
 least as good as every motion program. The noise is that of the emulated sensor (mean values of
-`rig_truth`), whitened in the cosine transform. One effect is the noise-free truth, and the other one
-is fitted to it with a free constant: half the whitened energy that remains is the expected log
+`rig_truth`), whitened in the cosine transform. One effect is the noise-free truth. The other one is
+fitted to it with a free constant, and half the whitened energy that remains is the expected log
 likelihood ratio. The solver states one name from 2.9 nats on.
 """
 
