@@ -141,12 +141,12 @@ def report(rows: list[dict[str, Any]]) -> bool:
         cells = [f"{row['default']:.1f}", plain, f"{row['twin']:.1f}", f"{row['truth']:.1f}"]
         shares = [f"{share(row, begin):.2%}" for begin in ("default", "plain")]
         print(f"| {' | '.join([row['cause'], named, *cells, *shares])} |")
-    shares = np.array([share(row, "default") for row in rows])
+    recovered = np.array([share(row, "default") for row in rows])
     is_named = np.array([row["cause"] in row["named"] for row in rows])
-    lowest = float(np.nanmin(shares[is_named])) if is_named.any() else float("nan")
+    lowest = float(np.nanmin(recovered[is_named])) if is_named.any() else float("nan")
     cause_shares = np.array([share(row, "plain") for row in rows if row["cause"] in row["named"]])
     print(
-        f"{len(rows)} sessions: median of recovered {np.nanmedian(shares):.2%}, "
+        f"{len(rows)} sessions: median of recovered {np.nanmedian(recovered):.2%}, "
         f"lowest of the {is_named.sum()} named {lowest:.2%}"
     )
     if np.isfinite(cause_shares).any():
@@ -154,7 +154,7 @@ def report(rows: list[dict[str, Any]]) -> bool:
             f"cause recovered: median {np.nanmedian(cause_shares):.1%}, lowest "
             f"{np.nanmin(cause_shares):.1%} of {np.isfinite(cause_shares).sum()}"
         )
-    return bool(np.nanmedian(shares) >= MEDIAN_GOAL and not lowest < NAMED_GOAL)
+    return bool(np.nanmedian(recovered) >= MEDIAN_GOAL and not lowest < NAMED_GOAL)
 
 
 def main() -> int:

@@ -26,7 +26,8 @@ from gyrorig_daemon.emulator.virtual_hub import VirtualHub
 from gyrorig_daemon.recorder import Recorder
 from gyrorig_daemon.service import session_runner
 from gyrorig_daemon.service.housekeeping import Housekeeping
-from gyrorig_daemon.service.job_queue import JobQueue, enqueue_job
+from gyrorig_daemon.service.job_queue import JobQueue
+from gyrorig_daemon.service.jobs import enqueue_job
 from gyrorig_daemon.service.metrics import MetricsWriter
 from gyrorig_daemon.service.persistent_state import PersistentState
 from gyrorig_daemon.service.schedule import Schedule
