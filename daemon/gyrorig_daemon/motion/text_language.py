@@ -21,6 +21,7 @@ from gyrorig_protocol.suggestions import did_you_mean
 
 NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 _FIRST_NUMBER = re.compile(NUMBER)
+FIRST_NUMBER = rf"(?P<value>{NUMBER})"
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,6 +52,9 @@ class TextLanguage:
             an optional group `moving` is 0 at rest.
         lowest, highest: the ends of travel, a query or a number in deg.
         slowest, fastest: the speeds of moves, a query or a number in deg/s.
+        number: pattern that is searched in the replies to the queries of `lowest`, `highest`,
+            `slowest`, `fastest` and `rate_change`, with the group `value`; by default the first
+            number. A reply that repeats the name of the axis needs another pattern.
         rate_change: the acceleration in force, a query or a number in deg/s^2. A number is valid
             until the driver sends `acceleration`; then the acceleration in the command is in force.
     """
@@ -73,6 +77,7 @@ class TextLanguage:
     slowest: str = "0.001"
     fastest: str = "100"
     rate_change: str = "100"
+    number: str = FIRST_NUMBER
     line_end: str = "\n"
     resolution_deg: float = 1e-4
     unit_deg: float = 1.0
@@ -104,7 +109,7 @@ class TextLanguage:
                     f"{self.name}",
                     did_you_mean(name, names) or f"use one of {', '.join(names)}",
                 )
-            if name in ("identity", "positions", "accepted"):
+            if name in ("identity", "positions", "accepted", "number"):
                 _check_pattern(name, text)
         return replace(self, **dict(commands))  # type: ignore[arg-type]
 
@@ -123,8 +128,9 @@ class TextLanguage:
         return None if match is None else {k: v or "" for k, v in match.groupdict().items()}
 
     def read_value_deg(self, reply: str) -> float | None:
-        """Return the first number in a reply, in deg, deg/s or deg/s^2; None without one."""
-        number = read_number(reply)
+        """Return the number in a reply, in deg, deg/s or deg/s^2; None without one."""
+        match = re.search(self.number, reply)
+        number = None if match is None else read_number(match["value"])
         return None if number is None else number * self.unit_deg
 
     def read_positions(self, reply: str, asked: Axis) -> tuple[dict[Axis, int], bool | None]:
@@ -143,9 +149,9 @@ class TextLanguage:
             texts = {asked: groups["value"]}
         steps = {}
         for axis, text in texts.items():
-            value_deg = None if text is None else self.read_value_deg(text)
-            if value_deg is not None and abs(value_deg) < self.resolution_deg * 2**31:
-                steps[axis] = round(value_deg / self.resolution_deg)
+            number = None if text is None else read_number(text)
+            if number is not None and abs(number * self.unit_deg) < self.resolution_deg * 2**31:
+                steps[axis] = round(number * self.unit_deg / self.resolution_deg)
         moving = groups.get("moving")
         return steps, None if moving is None else moving == "0"
 

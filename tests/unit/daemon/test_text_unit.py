@@ -1,6 +1,7 @@
 """Units of text lines: a rate table under a simulated clock, and what its line can do wrong."""
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -246,3 +247,13 @@ def test_words_of_the_rig_file_replace_those_of_the_driver() -> None:
 @pytest.mark.parametrize(("text", "number"), [("-1.5e1 deg", -15.0), ("+.5", 0.5), ("x", None)])
 def test_numbers_in_replies(text: str, number: float | None) -> None:
     assert read_number(text) == number
+
+
+def test_a_reply_that_repeats_the_axis_needs_the_pattern_of_its_number() -> None:
+    words = {"positions": "[12]=(?P<value>[-+]?[0-9]+)", "position": "{axis} POS?"}
+    first = replace(LANGUAGE, unit_deg=0.001, resolution_deg=0.001).with_commands(words)
+    assert first.read_value_deg("2=-60000") == 0.002
+    language = first.with_commands({"number": "=(?P<value>[-+]?[0-9]+)"})
+    assert language.read_value_deg("2=-60000") == -60.0
+    assert language.read_value_deg("2") is None
+    assert language.read_positions("2=+12345", Axis.TILT) == ({Axis.TILT: 12345}, None)
