@@ -36,6 +36,7 @@ REASONS = {
     "ci": "takes minutes, and .ci/run begins with it in a fresh clone",
     "data": "measured data that are not here",
     "elsewhere": "another computer",
+    "packages": "tests/packages does the same with the wheel of this checkout",
 }
 PLACES = {
     "bucket": "a network of its own, in which https://objects.example has a bucket",

@@ -119,6 +119,9 @@ class Places:
                 [sys.executable, "-m", *words.split()],
                 cwd=ROOT, check=True, capture_output=True, text=True,
             )  # fmt: skip
+        pins = (ROOT / "constraints.txt").read_text(encoding="utf-8").splitlines()
+        versions = fresh / "constraints.txt"  # the pip of this place cannot read the digests
+        versions.write_text("".join(f"{pin.split(' ')[0]}\n" for pin in pins if "==" in pin))
         wheels = " ".join(filter(None, (os.environ.get("PIP_FIND_LINKS"), str(fresh / "dist"))))
         return Place(
             fresh,
@@ -126,7 +129,7 @@ class Places:
                 **self._environment,
                 "PATH": f"{fresh / 'venv' / 'bin'}:{_path_without(Path(sys.executable).parent)}",
                 "PIP_FIND_LINKS": wheels,
-                "PIP_CONSTRAINT": str(ROOT / "constraints.txt"),
+                "PIP_CONSTRAINT": str(versions),
             },
         )
 
