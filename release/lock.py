@@ -34,18 +34,20 @@ HEADER = """\
 
 def locked_packages(constraints: str, upgraded: Sequence[str]) -> list[dict[str, Any]]:
     """Return each package as a table of pylock.toml (PEP 751)."""
-    kept = [line.split(" ")[0] for line in constraints.splitlines() if "==" in line]
-    kept = [pin for pin in kept if pin.split("==")[0].lower() not in upgraded]
+    pins = [line.split(" ")[0] for line in constraints.splitlines() if "==" in line]
+    pins = [pin for pin in pins if pin.split("==")[0].lower() not in upgraded]
     build = tomllib.loads((CHECKOUT / "pyproject.toml").read_text("utf-8"))["build-system"]
     with tempfile.TemporaryDirectory() as name:
-        pins, tools, lock = (Path(name) / file for file in ("c.txt", "tools.in", "pylock.toml"))
-        pins.write_text("\n".join(kept))
+        constraints_file, tools, lock = (
+            Path(name) / file for file in ("c.txt", "tools.in", "pylock.toml")
+        )
+        constraints_file.write_text("\n".join(pins))
         tools.write_text("\n".join(["pip", *SOURCE_BUILD, *build["requires"]]))
         subprocess.run(
             [
                 sys.executable, "-m", "uv", "pip", "compile", "pyproject.toml", tools,
                 "--all-extras", "--universal", "--python-version", OLDEST, "--generate-hashes",
-                "-c", pins, "--only-binary", ":all:",
+                "-c", constraints_file, "--only-binary", ":all:",
                 *(word for package in FROM_SOURCE for word in ("--no-binary", package)),
                 "--format", "pylock.toml", "-o", lock, "-q",
             ],

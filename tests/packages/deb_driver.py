@@ -114,12 +114,12 @@ def removed(rig: RigOnPtys) -> dict[str, Any]:
 def purged(before: set[str]) -> dict[str, Any]:
     """Purge it with recordings, and once more without."""
     result = dpkg("--purge", "gyrorig")
-    kept = len(list((STATE / "recordings").glob("*.mcap")))
+    recording_count = len(list((STATE / "recordings").glob("*.mcap")))
     shutil.rmtree(STATE)
     again = dpkg("-i", str(PACKAGE))["status"], dpkg("--purge", "gyrorig")["status"]
     return result | {
         "config": CONFIG.parent.exists(),
-        "recordings": kept,
+        "recordings": recording_count,
         "again": again,
         "more": sorted(tree() - before),
         "fewer": sorted(before - tree()),

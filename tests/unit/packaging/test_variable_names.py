@@ -14,7 +14,7 @@ FILE_KEYS = {
     "solver/gyrorig_solver/fleet/store/index_rows.py": {"beside"},
     "tests/hidden/scoring/outcome.py": {"said"},
 }
-FOLDERS = ("daemon", "docs", "firmware_protocol", "solver", "systemd", "tests")
+FOLDERS = ("daemon", "docs", "firmware_protocol", "release", "solver", "systemd", "tests")
 
 
 def bound_names(tree: ast.AST) -> Iterator[tuple[str, int]]:
