@@ -85,7 +85,7 @@ def run_draws(
     if find_spec("gyrorig_daemon") is None:
         raise UsageError(
             "the emulated rig is not installed, and twin-check needs it",
-            "install it with `pip install 'gyrorig[daemon]'`",
+            "run `pip install gyrorig` to install it",
         )
     workers = min(MAX_WORKERS, max(MIN_WORKERS, os.cpu_count() or 1))
     with ThreadPoolExecutor(workers) as pool:
