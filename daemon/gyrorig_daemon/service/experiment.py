@@ -195,7 +195,7 @@ class Experiment:
         if not is_emulated and not self._config.service.run_proposed_programs:
             raise UsageError(
                 "the rig file does not permit motion programs that the solver proposes",
-                "make sure that nothing stands in the range of motion, then set "
+                "make sure that nothing is in the range of motion, then set "
                 "`run_proposed_programs: true` under `service`",
             )
 

@@ -225,7 +225,7 @@ def require_solver() -> None:
     """
     if any(find_spec(name) is None for name in SOLVER_PACKAGES):
         raise UsageError(
-            "the solver is not installed beside the daemon, and an experiment needs it",
+            "the solver is not installed with the daemon, and an experiment needs it",
             "run `pip install 'gyrorig[solver]'`",
         )
 
