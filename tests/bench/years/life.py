@@ -45,7 +45,9 @@ from gyrorig_daemon.session.emulator_process import emulated_rig_settings
 from gyrorig_daemon.session.session import Session
 from gyrorig_protocol.recording.mcap.disk_file import Disk, DiskFile
 
-POWER_UP_S = 1_790_000_000.0  # UTC of the first day
+# UTC of the first day. It is in the past, because files that are written while the simulation runs
+# get the time of the real clock, until the simulation changes it.
+POWER_UP_S = 1_740_000_000.0
 SLICE_NS = 50_000_000
 LONGEST_WINDOW_S = 900.0
 PATIENCE_S = 120.0  # of real time, for the recovery in its own process
