@@ -17,6 +17,7 @@ What to use when:
 
 from gyrorig_solver.estimate.attitude.attitude_conventions import judge_conventions
 from gyrorig_solver.estimate.attitude.attitude_fit import fit_attitude
+from gyrorig_solver.estimate.attitude.attitude_projector import AttitudeProjector
 from gyrorig_solver.estimate.cascade import total_effect
 from gyrorig_solver.estimate.converged_fit import ConvergedFit
 from gyrorig_solver.estimate.derived_parameters import derive_parameters
@@ -101,6 +102,7 @@ __all__ = [
     "SESSION_PARAMETERS",
     "TYPICAL_MOUNT",
     "UNIT_REMEDIES",
+    "AttitudeProjector",
     "BoardSharing",
     "ClockQuality",
     "ConvergedFit",

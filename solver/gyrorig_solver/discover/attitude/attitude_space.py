@@ -26,6 +26,7 @@ from gyrorig_solver.discover.checks.smooth_alternatives import smooth_families
 from gyrorig_solver.discover.fit_space import FitSpace, SearchEffort
 from gyrorig_solver.estimate import (
     MAX_EVALUATIONS,
+    AttitudeProjector,
     FittedTerm,
     GyroFit,
     NuisanceProjector,
@@ -41,7 +42,6 @@ from gyrorig_solver.estimate.attitude.attitude_fit import (
     summarize_attitude_fit,
     widened_observability,
 )
-from gyrorig_solver.estimate.attitude.attitude_projector import AttitudeProjector
 from gyrorig_solver.estimate.attitude.block_segments import AccelerometerReadings
 from gyrorig_solver.estimate.fit_summary import build_gyro_fit
 from gyrorig_solver.estimate.trust_region import NotConvergedError

@@ -11,8 +11,13 @@ import numpy as np
 
 from gyrorig_solver.data import FloatArray, IntArray
 from gyrorig_solver.discover.candidate_objective import MIN_STEP_GAIN_NATS, CandidateObjective
-from gyrorig_solver.estimate import Convergence, FittedTerm, WhitenedSignals, total_effect
-from gyrorig_solver.estimate.attitude.attitude_projector import AttitudeProjector
+from gyrorig_solver.estimate import (
+    AttitudeProjector,
+    Convergence,
+    FittedTerm,
+    WhitenedSignals,
+    total_effect,
+)
 from gyrorig_solver.estimate.cascade import fitted_derivatives
 from gyrorig_solver.model import SignalState, value_parameters
 

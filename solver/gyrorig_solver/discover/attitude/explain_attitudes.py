@@ -20,7 +20,6 @@ from gyrorig_solver.estimate import GyroFit, free_term
 from gyrorig_solver.model import term_label, value_names
 
 MAX_SEARCHES = 3  # after the first one
-SAWTOOTH = "clock_sawtooth"
 
 
 class NamelessCheck:
@@ -77,7 +76,7 @@ def explain_attitudes(
     start_s = time.monotonic()
     model = _judged_search(fit_attitude_space(recordings, keep_sawtooth=True))
     if any(resolved.has_sawtooth for resolved in model.space.at.solved.resolved) and not any(
-        fitted_term.term.cause == SAWTOOTH for fitted_term in model.space.fitted_terms
+        fitted_term.term.template_search == "lag_series" for fitted_term in model.space.fitted_terms
     ):
         # The search found nothing for it, so the correction of the times is the better model.
         model = _judged_search(fit_attitude_space(recordings))

@@ -10,18 +10,17 @@ from gyrorig_protocol.recording.messages import REFERENCE_ATTITUDE_TOPIC
 from gyrorig_protocol.recording.recording import Recording, times_ns
 from gyrorig_solver.data.metadata_numbers import positive_number
 from gyrorig_solver.data.samples import GyroSamples
-from gyrorig_solver.discover import criticise_fit
+from gyrorig_solver.discover import AttitudeFitSpace, criticise_fit
 from gyrorig_solver.discover.attitude.attitude_space import (
-    AttitudeFitSpace,
     AttitudeRecording,
     fit_attitude_space,
 )
 from gyrorig_solver.discover.attitude.explain_attitudes import (
-    SAWTOOTH,
     explain_attitudes,
     extend_attitudes,
 )
 from gyrorig_solver.estimate import FittedTerm, GyroFit
+from gyrorig_solver.model import find_term
 from gyrorig_solver.pipeline.board_data import BoardData, load_board
 from gyrorig_solver.pipeline.board_results import (
     NO_CAUSE_REMARK,
@@ -107,7 +106,8 @@ def _extended_space(
     data: BoardData, requested: Sequence[str]
 ) -> tuple[AttitudeFitSpace, tuple[str, ...]]:
     """Return the fit of a board with requested causes, and the remarks about them."""
-    base = fit_attitude_space(load_attitude_recordings(data), keep_sawtooth=SAWTOOTH in requested)
+    fits_sawtooth = any(find_term(cause).template_search == "lag_series" for cause in requested)
+    base = fit_attitude_space(load_attitude_recordings(data), keep_sawtooth=fits_sawtooth)
     return extend_attitudes(base, requested)
 
 
