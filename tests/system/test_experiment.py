@@ -4,6 +4,7 @@ import json
 from dataclasses import replace
 from pathlib import Path
 
+import yaml
 from tests.support.simulated_service import Bench
 
 from gyrorig_daemon.emulator.emulator_settings import RigSettings
@@ -18,6 +19,15 @@ HIDDEN = "scale_asymmetry@z:0.0005"
 
 def hide_cause(settings: RigSettings) -> RigSettings:
     return replace(settings, injections=(parse_injection(HIDDEN),))
+
+
+def program_name(recording: Path) -> str:
+    (program,) = (
+        attached.data
+        for attached in read_recording(recording).attachments
+        if attached.name == "program.yaml"
+    )
+    return str(yaml.safe_load(program)["name"])
 
 
 def test_a_hidden_cause_gets_one_name(tmp_path: Path) -> None:
@@ -39,7 +49,7 @@ def test_a_hidden_cause_gets_one_name(tmp_path: Path) -> None:
     assert [c["one_of"] for c in last["causes"] if c["cause"] == "scale_asymmetry"] == [[]]
     assert all(c["cause"] != "scale_quadratic" for c in last["causes"])
     assert 2 <= len(experiment["rounds"]) <= 3
-    programs = [read_recording(p).metadata["gyrorig"]["program"] for p in bench.recordings()]
+    programs = [program_name(path) for path in bench.recordings()]
     assert programs[0] == "survey-40"
     assert len(programs) == len(experiment["rounds"])
     explaining = [s for s in bench.statuses if s["state"] == "explaining"]

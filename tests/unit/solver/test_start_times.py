@@ -129,8 +129,8 @@ def dense_fit(made: SimulatedMotion, near: MoveFit) -> Dense:
             inside = (at > values[rows[0]]) & (at < course.end_s) & polls.valid[:, move.axis]
             spacing = np.median(np.diff(at[inside]))
             position = course.position_steps(at)
-            inside &= np.abs(position - move.from_steps) > 1.5
-            inside &= np.abs(position - move.to_steps) > 1.5
+            inside &= np.abs(position - move.from_steps) > 2.0
+            inside &= np.abs(position - move.to_steps) > 2.0
             rate = course.speed_steps_s(at)
             inside &= rate != 0.0
             at, position, rate = at[inside], position[inside], rate[inside]
