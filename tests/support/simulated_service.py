@@ -80,7 +80,8 @@ class Bench:
         self.statuses: list[dict[str, Any]] = []
         self.stepped_s = 0.0  # how far the wall clock was set
         self.refusal = ""  # why a new configuration cannot be used
-        self.waits_for_solver = False  # simulated time stands still while the solver runs
+        # After the next status, simulated time stands still while the solver runs.
+        self.waits_for_solver = False
         self._enough: Callable[[], bool] | None = None
         self._plans: list[tuple[int, int, Callable[[], None]]] = []
         self.due_ns = ORIGIN_NS
@@ -140,7 +141,8 @@ class Bench:
 
     def fire(self, now_ns: int) -> None:
         self.due_ns = now_ns + 50_000_000
-        if self.waits_for_solver and (child := self.solver()) is not None:
+        is_published = bool(self.statuses) and self.statuses[-1]["state"] == "explaining"
+        if self.waits_for_solver and is_published and (child := self.solver()) is not None:
             child.wait()
         if self._enough is not None and self._enough():
             self.orders.request_termination("enough")
