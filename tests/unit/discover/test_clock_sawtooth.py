@@ -48,3 +48,10 @@ def test_shapes_are_scored_as_their_windows(session: Any) -> None:
     is_seen = information[:3] > 1e-6 * series.statistics.energy[:3]
     expected = np.where(is_seen, score[:3] ** 2 / np.where(is_seen, information[:3], 1.0), 0.0)
     assert series.score_shapes(shapes_s) == pytest.approx(expected)
+
+
+def test_one_step_is_no_sawtooth(hidden: Callable[..., Any]) -> None:
+    """A saw-tooth with one correction is a step and a skew: the data cannot show its period."""
+    session = hidden("clock_step:0.01", seed=33, program="survey-40")
+    explanation = explain_fit(fit_base_model([session.recording], session.board), session.board)
+    assert [named.cause for named in explanation.findings.causes] == ["clock_step"]

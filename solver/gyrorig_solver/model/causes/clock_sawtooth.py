@@ -3,8 +3,9 @@
 Timestamp t belongs to true time t - e P (f - 1/2), where P is the period of the corrections and f
 the share of the period that has passed. The clock gains e in each second, and each correction sets
 it back by e P. A daemon that corrects a host's clock in steps does this, and so does a firmware
-that restarts its sample timer at each message of a time server. If the period is longer than the
-recording, the cause is a drift with one step in the opposite direction.
+that restarts its sample timer at each message of a time server. A recording with one correction only cannot show
+the period: its causes are `clock_skew` and `clock_step`. Therefore the search starts with periods
+of which the recording contains two corrections.
 """
 
 import numpy as np
@@ -22,7 +23,7 @@ from gyrorig_solver.model.term_kinds import TimeTerm
 
 MIN_PERIOD_S = 2.0
 MAX_TEETH = 20.0  # in a recording
-MIN_TEETH = 0.25
+MIN_TEETH = 1.0  # a longer period has at most one correction in the recording
 TEETH_STEP = 0.05  # in the template bank: a correction is a twentieth of a period off
 PHASES = 24
 
@@ -77,7 +78,7 @@ class ClockSawtooth(TimeTerm):
         return 0.5 * abs(float(values[0] * values[1]))
 
     def template_bank(self, state: SignalState) -> FloatArray:
-        """Return periods from a few seconds to several recordings, each at several phases."""
+        """Return periods with two corrections in the recording, each at several phases."""
         begin_s, end_s = state.context.begin_s, state.context.end_s
         length_s = end_s - begin_s
         most = min(MAX_TEETH, length_s / MIN_PERIOD_S)
@@ -86,9 +87,10 @@ class ClockSawtooth(TimeTerm):
         bank = np.zeros((period_s.size, 3))
         bank[:, 1] = period_s.ravel()
         # The correction next to the middle: its time hardly depends on the period.
-        near_s = np.minimum(period_s, length_s) * (phase - 0.5)
-        bank[:, 2] = 0.5 * (begin_s + end_s) + near_s.ravel()
-        return bank
+        bank[:, 2] = 0.5 * (begin_s + end_s) + (period_s * (phase - 0.5)).ravel()
+        last = np.floor((end_s - bank[:, 2]) / bank[:, 1])
+        first = np.ceil((begin_s - bank[:, 2]) / bank[:, 1])
+        return bank[last > first]
 
     def lag_shape(self, time_s: FloatArray, values: FloatArray) -> FloatArray:
         """Return the delay per unit of rate at some times, (n,)."""
