@@ -33,6 +33,7 @@ def test_what_the_demo_wrote_keeps_the_contracts(tmp_path: Path, contract_judge:
     program.write_text(
         "schema: gyrorig/program/1\nname: short\nsteps:\n  - rest: {seconds: 2.0, phase: static}\n"
         "  - move: {pan_deg: 30.0, speed_deg_s: 60.0}\n"
+        "  - move: {pan_deg: 0.0, speed_deg_s: 40.0}\n"
     )
     out = tmp_path / "demo"
     process = subprocess.run(
