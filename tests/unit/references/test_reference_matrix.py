@@ -129,7 +129,7 @@ def _record_unit(made: Cells, folder: Path) -> None:
         run_daemon(
             ["record", "--config", str(ROOT / "config" / "rig.yaml"), "--program",
              str(ROOT / "config" / "programs" / "quick.yaml"), "--out", str(out),
-             "--simulated-time", "--seed", str(seed), "--truth", str(truth)]
+             "--simulated-time", "--seed", "11", "--session-seed", str(seed), "--truth", str(truth)]
         )  # fmt: skip
         paths.append(next(out.glob("*.mcap")))
     made.recordings["unit"] = paths
