@@ -3,9 +3,9 @@
 Timestamp t belongs to true time t - e P (f - 1/2), where P is the period of the corrections and f
 the share of the period that has passed. The clock gains e in each second, and each correction sets
 it back by e P. A daemon that corrects a host's clock in steps does this, and so does a firmware
-that restarts its sample timer at each message of a time server. A recording with one correction only cannot show
-the period: its causes are `clock_skew` and `clock_step`. Therefore the search starts with periods
-of which the recording contains two corrections.
+that restarts its sample timer at each message of a time server. A recording with one correction
+cannot show the period: its causes are `clock_skew` and `clock_step`. Therefore the search starts
+with periods of which the recording contains two corrections.
 """
 
 import numpy as np
