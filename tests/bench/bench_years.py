@@ -1,4 +1,4 @@
-"""A soak in simulated time: what is left of memory, files and data after 90 days of a rig.
+"""Measure memory, open files and data loss of a rig over 90 days of simulated time.
 
 Twice a day the emulated rig has power. The real main loop of the service holds the sessions
 of its schedule and queue, and every night a batch solves the recordings and writes the page of the

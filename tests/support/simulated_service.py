@@ -1,4 +1,4 @@
-"""A service on an emulated rig, in simulated time and with a system time of its own."""
+"""A service on an emulated rig, with simulated monotonic and system times."""
 
 import heapq
 from collections.abc import Callable

@@ -19,7 +19,7 @@ T = TypeVar("T")
 
 
 def call_in_thread(work: Callable[[], T], name: str) -> Future[T]:
-    """Make one call in a thread of its own."""
+    """Make one call in a separate thread."""
     future: Future[T] = Future()
     thread = threading.Thread(target=lambda: _call(work, future), name=name, daemon=True)
     thread.start()

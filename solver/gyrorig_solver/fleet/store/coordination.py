@@ -210,7 +210,7 @@ class RowJournal:
         self._unmerged_rows += len(rows)
 
     def take_full(self) -> bool:
-        """Return whether it is time to merge the journal into the index, and count anew if so."""
+        """Return whether to merge the journal into the index; if so, restart the count."""
         is_full = self._unmerged_rows >= ROWS_PER_MERGE
         if is_full:
             self._unmerged_rows = 0
