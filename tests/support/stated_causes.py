@@ -29,8 +29,6 @@ ZERO_S = 1.2  # of its times, since power-up
 # Half of the difference between the wire times of a reply and a request of time, 34 and 18 bytes at
 # 460 800 baud, and of the floors of the host, 60 and 50 us.
 LINK_DELAY_S = 0.5 * (16 * 10.0 / 460_800.0 + 60e-6 - 50e-6)
-# A delay changes with the next block of samples, half of 0.08 s later on average.
-HALF_BLOCK_S = 0.04
 MIDDLE_S = 0.5 * (BEGIN_S + END_S)
 
 
@@ -230,8 +228,9 @@ def _supply_hum(cause: InjectedCause, base: _Base) -> None:
 def _clock_step(cause: InjectedCause, base: _Base) -> None:
     step = cause.number("step")
     base.put("step", step, "s")
-    base.put("time", cause.number("at") + HALF_BLOCK_S - base.lag_s - ZERO_S, "s")
-    base.time_offset_s += max(-step, 0.0)  # the lag before the step
+    added_s = max(-step, 0.0)  # the lag before the step
+    base.put("time", cause.number("at") - base.lag_s - added_s - ZERO_S, "s")
+    base.time_offset_s += added_s
 
 
 def _clock_skew(cause: InjectedCause, base: _Base) -> None:
@@ -243,8 +242,9 @@ def _clock_sawtooth(cause: InjectedCause, base: _Base) -> None:
     growth, period = cause.number("lag_growth"), cause.number("period")
     base.put("rate", growth)
     base.put("period", period, "s")
-    base.put("time", cause.number("at") + HALF_BLOCK_S - base.lag_s - ZERO_S, "s")
-    base.time_offset_s += 0.5 * abs(growth * period)
+    added_s = 0.5 * abs(growth * period)  # the mean
+    base.put("time", cause.number("at") - base.lag_s - added_s - ZERO_S, "s")
+    base.time_offset_s += added_s
 
 
 def _clock_offset(cause: InjectedCause, base: _Base) -> None:

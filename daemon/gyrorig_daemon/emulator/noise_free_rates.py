@@ -204,9 +204,7 @@ def _simulate_rates(
         rig.stage,
         0.0,
         np.random.default_rng(0),  # all noise amplitudes are zero
-        samples_per_frame
-        if hooks.lags
-        else max(samples_per_frame, _LARGE_BLOCK),  # a lag changes per block
+        max(samples_per_frame, _LARGE_BLOCK),
         hooks,
     )
     times: list[FloatArray] = []

@@ -13,7 +13,6 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from gyrorig_daemon.emulator.physics.imu import BLOCK_S
 from gyrorig_protocol.errors import UsageError
 
 FloatArray = NDArray[np.float64]
@@ -117,14 +116,6 @@ class StatedCause:
     def event_s(self) -> Quantity:
         """Return the time of a single event, since power-up."""
         return Quantity(self.zero_s + self.number("time"), "s")
-
-    def lag_event_s(self) -> Quantity:
-        """Return the time of a change of the delay of the samples, since power-up.
-
-        The emulator changes a delay with the next block of samples, which is half a block later on
-        average.
-        """
-        return Quantity(self.zero_s + self.number("time") - 0.5 * BLOCK_S, "s")
 
     def harmonics(
         self, cosine: str = "cosine", sine: str = "sine"

@@ -28,7 +28,7 @@ def fit_leading(
     projection: NuisanceProjector,
     leading: Sequence[CandidateScore],
     scores: Sequence[CandidateScore],
-    fitted_labels: set[str],
+    left_out: set[str],
     tests: int,
     fit_law: Callable[[Term, float], FittedCandidate | None],
 ) -> list[tuple[FittedCandidate, float]]:
@@ -41,7 +41,7 @@ def fit_leading(
         projection: the nuisance projector at the fit.
         leading: the scores from which the causes are taken.
         scores: of all places of all causes.
-        fitted_labels: causes of the fit.
+        left_out: causes that are not tried, as those of the fit.
         tests: how many share the false alarms.
         fit_law: fits a cause that changes the motion law under its own law, given the evidence
             that it needs to be the best.
@@ -62,7 +62,7 @@ def fit_leading(
     law_terms = {
         label: term
         for label, term in term_by_label.items()
-        if label not in fitted_labels and projection.law_statistics(term) is not None
+        if label not in left_out and projection.law_statistics(term) is not None
     }
     shown = {term_label(score.term) for score in leading if score.p_value < 1.0}
     terms = [term for term in terms if term not in law_terms.values()]
@@ -81,7 +81,7 @@ def fit_leading(
         terms += lag_series_terms(projection)
     candidates: list[tuple[FittedCandidate, float]] = []
     for term in terms:
-        if term_label(term) in fitted_labels:
+        if term_label(term) in left_out:
             continue
         term_scores = [score for score in scores if term_label(score.term) == term_label(term)]
         term_scores = term_scores or scan_catalogue(

@@ -142,8 +142,9 @@ class _Search(Generic[Space]):
             significant = usable[:1] if is_late else []
         if not significant:
             return None
+        left_out = fitted_labels | self._left_out
         candidates = fit_leading(
-            self._projection, significant, usable, fitted_labels, self._tests, self._fit_law
+            self._projection, significant, usable, left_out, self._tests, self._fit_law
         )
         considered = frozenset(term_label(other.extension.term) for other, _ in candidates)
         for candidate, trials in sorted(candidates, key=lambda pair: -pair[0].log_evidence):

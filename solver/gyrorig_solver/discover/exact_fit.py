@@ -11,6 +11,7 @@ Source: MacKay, Information Theory, Inference, and Learning Algorithms, chapter 
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 
 import numpy as np
 
@@ -28,8 +29,8 @@ from gyrorig_solver.model import Term, value_indices
 WHOLE_COUNT_SIGMA = 4.0  # deviations
 MAX_OUTSIDE_GAIN_NATS = 2.0  # won by leaving what is possible, two deviations: it is something else
 REFINEMENTS, STEPS_PER_SIDE = 4, 4  # an event is looked for so often, each time so much finer
-ROUNDS_OF_SHAPES = 2  # shapes, then the event
-SHAPE_SHARE = 0.04  # of a shape, to either side
+FIRST_STEPS_PER_SIDE = 8  # of two times that are searched together
+SHAPE_SHARE = 0.04  # of a period, to either side of an event
 SMOOTH_STD_S = 2e-3  # an event known better than this lies on one smooth hill of the likelihood
 SHIFTS_S = (0.02, 0.07, 0.25)  # an edge of a move, its ramp, a rest
 MIN_STD_S = 1e-6  # that an event is known to
@@ -173,13 +174,29 @@ def locate_event(objective: CandidateObjective, values: FloatArray) -> FloatArra
 
 
 def locate_shapes(objective: CandidateObjective, values: FloatArray) -> FloatArray:
-    """Return values at the best shapes and event time near the given ones, with one-step sizes."""
-    best = values
-    for _ in range(ROUNDS_OF_SHAPES):
-        for shape in objective.shapes:
-            best = _locate(objective, best, int(shape), SHAPE_SHARE * float(best[shape]))
-            step_s = SHAPE_SHARE * float(best[shape])
-        best = _locate(objective, best, objective.events[0], step_s)
+    """Return values at the best period and event time near the given ones, with one-step sizes.
+
+    The statistic has a narrow ridge along which the period and the time of one event compensate
+    each other. Therefore the times of the first and the last event are searched, both together.
+    """
+    (period,), event = objective.shapes, objective.events[0]
+    context = objective.context
+    before = np.floor((float(values[event]) - context.begin_s) / values[period])
+    after = max(np.floor((context.end_s - float(values[event])) / values[period]), 1.0 - before)
+    best, statistic = values, -1.0
+    span_s, steps = SHAPE_SHARE * float(values[period]), FIRST_STEPS_PER_SIDE
+    for _ in range(REFINEMENTS):
+        middle = best
+        shifts_s = span_s * np.arange(-steps, steps + 1) / steps
+        for first_s, last_s in product(shifts_s, shifts_s):
+            trial = middle.copy()
+            trial[event] += (after * first_s + before * last_s) / (before + after)
+            trial[period] += (last_s - first_s) / (before + after)
+            test = objective.score_test(trial)
+            if test.statistic > statistic:
+                statistic = test.statistic
+                best = objective.with_one_step_sizes(trial, test)
+        span_s, steps = span_s / steps, STEPS_PER_SIDE
     return best
 
 

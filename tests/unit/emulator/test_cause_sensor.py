@@ -285,6 +285,19 @@ def test_corrupt_words_have_one_wrong_bit_or_an_old_high_byte() -> None:
     assert np.abs(read).max() <= 32768
 
 
+@pytest.mark.parametrize("step_s", [0.02, -0.02])
+@pytest.mark.parametrize("at_s", [1.043, 1.12, 4.2149])
+def test_a_clock_jumps_between_two_samples(step_s: float, at_s: float) -> None:
+    """The low-pass has followed the motion until the jump, at any sample of a block."""
+    jumping = run(BoardHooks(lags=[ClockStep(step_s, at_s)]))
+    late, early = max(step_s, 0.0), max(-step_s, 0.0)  # the lag after the jump and before it
+    after = run(truth=replace(TRUTH, tau_s=TRUTH.tau_s + late)).rate_rad_s
+    before = run(truth=replace(TRUTH, tau_s=TRUTH.tau_s + early)).rate_rad_s
+    expected = np.where((jumping.time_s >= at_s)[:, None], after, before)
+    assert np.abs(after - before).max() > 0.05
+    assert np.abs(jumping.rate_rad_s - expected).max() < 1e-6
+
+
 def test_words_are_drawn_once_also_when_a_block_is_computed_again() -> None:
     moving = stage()
     rng = np.random.default_rng(9)

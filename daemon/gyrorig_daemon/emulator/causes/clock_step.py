@@ -17,7 +17,7 @@ from gyrorig_daemon.emulator.physics.effects.rig_hooks import RigHooks
 
 @dataclass(frozen=True, slots=True)
 class ClockStep(Cause):
-    """A delay that jumps once, with the first block of samples after an instant."""
+    """A delay that jumps once, with the first sample after an instant."""
 
     name = "clock_step"
     size_meaning = "single jump of the delay of the samples"
@@ -41,7 +41,7 @@ class ClockStep(Cause):
         step_s = stated.number("step")
         return (
             CarriedCause(
-                {"step": Quantity(step_s, "s"), "at": stated.lag_event_s()},
+                {"step": Quantity(step_s, "s"), "at": stated.event_s()},
                 delay_s=max(-step_s, 0.0),  # here the samples are never early
             ),
         )

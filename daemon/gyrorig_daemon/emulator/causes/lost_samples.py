@@ -43,7 +43,7 @@ class LostSamples(Cause):
         step_s = -stated.number("count") * stated.on_board.period_s
         return (
             CarriedCause(
-                {"step": Quantity(step_s, "s"), "at": stated.lag_event_s()},
+                {"step": Quantity(step_s, "s"), "at": stated.event_s()},
                 delay_s=max(-step_s, 0.0),
             ),
         )

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from gyrorig_daemon.emulator.physics.bias_noise import BiasWander, white_step_sigma
 from gyrorig_daemon.emulator.physics.effects.board_effects import MotionSamples
 from gyrorig_daemon.emulator.physics.effects.rig_hooks import BoardHooks
+from gyrorig_daemon.emulator.physics.lag_lines import LagLine, lag_lines
 from gyrorig_daemon.emulator.physics.lowpass import block_filter
 from gyrorig_daemon.emulator.physics.stage_motion import Stage, StageMotion
 from gyrorig_daemon.emulator.physics.temperature import BoardTemperature, TemperatureCurve
@@ -159,6 +160,8 @@ class ImuModel:
         )
         self._state: FloatArray = np.zeros((2, 3))
         self._end_state: FloatArray = np.zeros((2, 3))
+        self._lag_line: LagLine | None = None  # of the last sample of the previous block
+        self._end_lag_line: LagLine | None = None
         self._wander_from, self._wander_to = np.zeros(3), np.zeros(3)
         self._noise: FloatArray = np.zeros((0, 3))
         self._accel_noise: FloatArray = np.zeros((0, 3))
@@ -174,7 +177,7 @@ class ImuModel:
     def next_block(self) -> SampleBlock:
         """Draw and compute the next block."""
         self._first += self._samples
-        self._state = self._end_state
+        self._state, self._lag_line = self._end_state, self._end_lag_line
         self._wander_from, self._wander_to = self._wander_to, self._wander.advance()
         count = self._samples * self._substeps
         if self._sigma.any():
@@ -201,22 +204,27 @@ class ImuModel:
         truth, n, hooks = self.truth, self._samples, self._hooks
         self._revision = self._stage.revision
         ready_s = self._start_s + self._first * self._period_s
-        lag_s, growth = hooks.lag(ready_s)
-        motion_s = ready_s - truth.tau_s - lag_s
-        dt_s = self._dt_s * (1.0 - growth)
-        sensor_rad_s = self._sensor_rate(
-            self._stage.motion(motion_s, dt_s, n * self._substeps), ready_s
-        )
-        output, self._end_state = self._filter.run(
-            self._state, sensor_rad_s + self._noise, self._jitter_substeps
-        )
+        time_s: FloatArray = ready_s + self._period_s * (np.arange(n, dtype=np.float64) + 1.0)
+        output: FloatArray = np.empty((n, 3))
+        line, state = self._lag_line, self._state
+        for first, now in lag_lines(hooks, ready_s, time_s):
+            if line is not None and not line.continues(now, ready_s):
+                # The clock jumps, not the sensor: its low-pass has followed the motion until now.
+                state = state + self._settled_state(now, ready_s)
+                state = state - self._settled_state(line, ready_s)
+            motion_s = ready_s - truth.tau_s - now.at(ready_s)
+            motion = self._stage.motion(motion_s, now.length_s(self._dt_s), n * self._substeps)
+            inputs = self._sensor_rate(motion, ready_s) + self._noise
+            outputs, end_state = self._filter.run(state, inputs, self._jitter_substeps)
+            output[first:] = outputs[first:]
+            line = now
+        self._end_state, self._end_lag_line = end_state, line
         block_share = (np.arange(n) + 1.0)[:, None] / n
         bias = (
             truth.bias_rad_s
             + self._wander_from
             + block_share * (self._wander_to - self._wander_from)
         )
-        time_s: FloatArray = ready_s + self._period_s * (np.arange(n, dtype=np.float64) + 1.0)
         for effect in hooks.bias_effects:
             bias = bias + effect.added_rad_s(time_s, self._temperature)
         measured = output + bias
@@ -238,6 +246,18 @@ class ImuModel:
             saturated=np.asarray(is_saturated.any(axis=1)),
             bias_rad_s=bias.mean(axis=0),
         )
+
+    def _settled_state(self, line: LagLine, ready_s: float) -> FloatArray:
+        """Return the low-pass's state before a block if its input had one lag until then, (2, 3).
+
+        Only the motion counts, during one block: the difference between two lags is what is used.
+        """
+        count = self._samples * self._substeps
+        dt_s = line.length_s(self._dt_s)
+        begin_s = ready_s - self.truth.tau_s - line.at(ready_s) - count * dt_s
+        rates = self._stage.motion(begin_s, dt_s, count).body_rate_rad_s @ self.truth.gain.T
+        at_first_rate = np.array([rates[0], np.zeros(3)])
+        return self._filter.run(at_first_rate, rates)[1]
 
     def _sensor_rate(self, motion: StageMotion, ready_s: float) -> FloatArray:
         """Return the rate at the sensor element in each substep, (m, 3)."""

@@ -26,6 +26,7 @@ MAX_TEETH = 20.0  # in a recording
 MIN_TEETH = 1.0  # a longer period has at most one correction in the recording
 TEETH_STEP = 0.05  # in the template bank: a correction is a twentieth of a period off
 PHASES = 24
+EDGE_SHARE = 0.2  # of the period of a sample, in which a correction acts gradually
 
 
 class ClockSawtooth(TimeTerm):
@@ -107,9 +108,13 @@ class ClockSawtooth(TimeTerm):
         )
 
     def _delay_per_rate(self, state: SignalState, values: FloatArray) -> FloatArray:
-        """Return the mean of -P (f - 1/2) over the period of a sample, (instants,)."""
+        """Return the mean of -P (f - 1/2) over a short time about each sample, (instants,).
+
+        The mean makes the likelihood a continuous function of the time offset, which decides
+        whether a sample is before a correction or after it.
+        """
         period_s, event_s = float(values[1]), float(values[2])
-        half_s = 0.5 * state.intervals_per_instant * state.step_s
+        half_s = 0.5 * EDGE_SHARE * state.intervals_per_instant * state.step_s
         middle = state.sample_times_s - event_s
         turns = ((middle - half_s) / period_s, (middle + half_s) / period_s)
         before, after = (0.5 * np.floor(x) + 0.5 * (x - np.floor(x)) ** 2 for x in turns)

@@ -78,7 +78,7 @@ class LagEffect(Protocol):
     """A delay of the samples behind the motion, in addition to the board's own lag."""
 
     def at(self, time_s: float) -> tuple[float, float]:
-        """Return the lag in s of a block that begins at a time, and its growth per s."""
+        """Return the lag in s of a sample that is ready at a time, and its growth per s."""
         ...
 
 

@@ -55,7 +55,7 @@ class BoardHooks:
     lost: SampleLoss | None = None
 
     def lag(self, time_s: float) -> tuple[float, float]:
-        """Return the total lag of a block that begins at a time, and its growth per second."""
+        """Return the total lag of a sample that is ready at a time, and its growth per second."""
         lags = [lag.at(time_s) for lag in self.lags]
         return sum(lag for lag, _ in lags), sum(growth for _, growth in lags)
 
