@@ -121,22 +121,19 @@ def resolve_all(
     )
 
 
-def solve_without_effects(
-    fit: AttitudeFit, effects: Mapping[int, FloatArray], band_hz: float = DEFAULT_BAND_HZ
-) -> AttitudeFit:
+def solve_without_effects(fit: AttitudeFit, effects: Mapping[int, FloatArray]) -> AttitudeFit:
     """Repeat a fit without the effects of causes.
 
     Args:
         fit: a fit to the same recordings.
         effects: what the causes add to the mean rates of segments, (n, 3), by number in `fit`; the
             other segments are left out.
-        band_hz: higher frequencies are not used.
     """
     numbers = sorted(effects)
     segments = [fit.solver.segments[k] for k in numbers]
     recordings = [fit.solver.recording_of_segment[k] for k in numbers]
     known_effects = [effects[k] for k in numbers]
-    return _solve_segments(segments, recordings, band_hz, known_effects, fit.resolved)
+    return _solve_segments(segments, recordings, DEFAULT_BAND_HZ, known_effects, fit.resolved)
 
 
 def _solve_segments(
