@@ -92,7 +92,7 @@ def dbc(data: bytes) -> None:
         return
     for message in messages.values():
         for signal in message.signals.values():
-            signal.physical_value(bytes(range(64)))
+            signal.raw_value(bytes(range(64)))
 
 
 def _seeds() -> list[bytes]:

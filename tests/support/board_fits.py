@@ -1,6 +1,5 @@
 """The fit of one board, and the search for causes in it, from recordings on a pan-tilt unit."""
 
-import time
 from collections.abc import Sequence
 
 from gyrorig_protocol.recording.recording import Recording
@@ -17,5 +16,4 @@ def fit_base_model(recordings: Sequence[Recording], board: str) -> ConvergedFit:
 
 def explain_recordings(recordings: Sequence[Recording], board: str) -> FitExplanation:
     """Search for causes in one board's recordings."""
-    start_s = time.monotonic()
-    return explain_fit(fit_base_model(recordings, board), board, start_s)
+    return explain_fit(fit_base_model(recordings, board), board)

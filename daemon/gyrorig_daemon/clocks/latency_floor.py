@@ -14,6 +14,7 @@ WINDOW_S = 1.0
 WINDOW_SAMPLES = 8  # fewer samples give no estimate of the excess over the minimum
 OFFSET_SIGMA_S = 0.02  # prior of the first window
 SKEW_SIGMA = 1e-3  # prior: ceramic resonators reach 640 ppm
+SKEW_WALK = 1e-8  # random walk of the skew of a crystal per sqrt(s); 1e-7 for a ceramic resonator
 FIRST_SKEW_SIGMA = 20e-6  # of a skew from one window, in addition to its scatter
 MAX_FIRST_SAMPLES = 4096  # samples kept of the first window, in case the clock stands still
 GATE_SIGMAS = 5.0
@@ -49,14 +50,8 @@ class LatencyFloorFilter:
     below a microsecond.
     """
 
-    def __init__(self, skew_walk: float = 1e-8) -> None:
-        """Start without a state.
-
-        Args:
-            skew_walk: random walk of the skew per sqrt(s): 1e-8 for a crystal, 1e-7 for
-                a ceramic resonator.
-        """
-        self._skew_walk = skew_walk
+    def __init__(self) -> None:
+        """Start without offset and skew."""
         self._late_total = 0
         self._early_total = 0
         self._steps = 0
@@ -205,7 +200,7 @@ class LatencyFloorFilter:
         dt_s = at_s - self._at_s
         self._at_s = at_s
         self._offset_s += self._skew * dt_s
-        q = self._skew_walk**2
+        q = SKEW_WALK**2
         self._p_oo += 2 * dt_s * self._p_os + dt_s**2 * self._p_ss + q * dt_s**3 / 3
         self._p_os += dt_s * self._p_ss + q * dt_s**2 / 2
         self._p_ss += q * dt_s

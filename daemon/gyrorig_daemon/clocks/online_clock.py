@@ -49,24 +49,17 @@ class ClockReport:
 class OnlineClock:
     """The map of one clock. Feed it every timestamp in the order of arrival."""
 
-    def __init__(
-        self,
-        tick_hz: float,
-        counter_bits: int,
-        sequence_bits: int = 16,
-        skew_walk: float = 1e-8,
-    ) -> None:
+    def __init__(self, tick_hz: float, counter_bits: int, sequence_bits: int = 16) -> None:
         """Start without a map.
 
         Args:
             tick_hz: nominal ticks per second.
             counter_bits: width after which the counter wraps.
             sequence_bits: width of the sample counter.
-            skew_walk: random walk of the skew per sqrt(s).
         """
         self._tick_hz = tick_hz
         self._unwrapper = CounterUnwrapper(tick_hz, counter_bits, sequence_bits)
-        self._floor = LatencyFloorFilter(skew_walk)
+        self._floor = LatencyFloorFilter()
         self._origin_ticks = 0
         self._origin_ns = 0
         self._last_ticks = 0

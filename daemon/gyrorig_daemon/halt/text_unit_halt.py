@@ -54,9 +54,7 @@ class DirectTextLine(DirectPtuLine):
         return None if reply is None else self.language.read_identity(reply)
 
 
-def halt_text_unit(
-    port: str, bauds: Sequence[int], language: TextLanguage, timeout_s: float = TIMEOUT_S
-) -> HaltResult:
+def halt_text_unit(port: str, bauds: Sequence[int], language: TextLanguage) -> HaltResult:
     """Halt all axes of the unit on `port` and confirm that they have stopped.
 
     Raises:
@@ -66,7 +64,7 @@ def halt_text_unit(
         DeviceError: there is no such port, nothing answers, the device is not the unit, or it
             still moves. If the port could be opened, the command was sent.
     """
-    end_s = time.monotonic() + timeout_s
+    end_s = time.monotonic() + TIMEOUT_S
     fd = open_unit_port(port, bauds[0], end_s)
     try:
         line = DirectTextLine(fd, port, end_s, language)
@@ -80,15 +78,13 @@ def halt_text_unit(
         os.close(fd)
 
 
-def send_halt_bytes(
-    port: str, bauds: Sequence[int], halt_bytes: bytes, timeout_s: float = TIMEOUT_S
-) -> None:
+def send_halt_bytes(port: str, bauds: Sequence[int], halt_bytes: bytes) -> None:
     """Send the halt bytes of a driver without a `TextLanguage` at each baud rate.
 
     Raises:
         BusyError, UsageError, MachineError, DeviceError: the port cannot be opened.
     """
-    end_s = time.monotonic() + timeout_s
+    end_s = time.monotonic() + TIMEOUT_S
     fd = open_unit_port(port, bauds[0], end_s)
     try:
         line = DirectPtuLine(fd, port, end_s)

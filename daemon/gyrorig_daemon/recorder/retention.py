@@ -57,7 +57,6 @@ class RetentionResult:
     deleted: tuple[Path, ...]
     deleted_bytes: int
     cited: tuple[Path, ...]  # kept only because a calibration cites them
-    remaining_bytes: int  # of all remaining recordings
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,7 +93,7 @@ def apply_retention(
     files = [file for file in _files(folder) if file.path.name not in names]
     need = _RetentionNeed(rules, files, now_s, lambda: disk.free_bytes(folder))
     if not files or not need.asks_for(files[0]):
-        return RetentionResult((), 0, (), sum(file.size for file in files))
+        return RetentionResult((), 0, ())
     citations = _CitationIndex(stores)
     deleted: list[_File] = []
     cited_paths: list[Path] = []
@@ -109,10 +108,10 @@ def apply_retention(
         need.note_deleted(file)
     if deleted:
         disk.sync_directory(folder)
-    deleted_bytes = sum(file.size for file in deleted)
-    paths = tuple(file.path for file in deleted)
     return RetentionResult(
-        paths, deleted_bytes, tuple(cited_paths), sum(file.size for file in files) - deleted_bytes
+        tuple(file.path for file in deleted),
+        sum(file.size for file in deleted),
+        tuple(cited_paths),
     )
 
 

@@ -43,7 +43,6 @@ class StatusPublisher:
         self._clock_monitor = clock_monitor
         self._started_s = context.clocks.monotonic_s()
         self._samples: dict[str, tuple[int, int]] = {}
-        self._due_before_ns = now_ns
         self.due_ns = now_ns
 
     def fire(self, now_ns: int) -> None:

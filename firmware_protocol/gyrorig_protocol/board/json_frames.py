@@ -15,7 +15,6 @@ import msgspec
 
 from gyrorig_protocol.board.frame_encoding import Frame
 
-MAX_JSON_BYTES = 247
 PROTOCOL_VERSION = 1
 
 Name = Annotated[str, msgspec.Meta(min_length=1, max_length=64, pattern=r"^[ -~]*$")]

@@ -34,7 +34,6 @@ from gyrorig_protocol.errors import UsageError
 
 NODE_BITS = 7
 MAX_NODE = (1 << NODE_BITS) - 1
-TICK_HZ = 1e6
 SAMPLE_UNIT_TICKS = 4
 SAMPLE_WRAP_TICKS = SAMPLE_UNIT_TICKS << 16
 REQUEST_HELLO = 1

@@ -1,7 +1,7 @@
 """DBC parser: the messages and signals of a CAN database file.
 
 What to use when: `parse_dbc` for the text of a file; `DbcSignal.raw_value` and
-`DbcSignal.physical_value` to decode frames. The parser reads BO_, SG_ and SIG_VALTYPE_ (floats).
+`DbcSignal.raw_value` to decode frames. The parser reads BO_, SG_ and SIG_VALTYPE_ (floats).
 Multiplexed signals are left out. All other lines are skipped: nodes, comments, attributes and value
 tables are not needed for a sample.
 
@@ -13,6 +13,7 @@ import re
 import struct
 from dataclasses import dataclass, replace
 
+from gyrorig_protocol.can.can_frame import EXTENDED_MASK
 from gyrorig_protocol.errors import UsageError
 
 MAX_TEXT_BYTES = 4 << 20
@@ -67,10 +68,6 @@ class DbcSignal:
         if self.is_signed and bits >> (self.bit_length - 1):
             bits -= 1 << self.bit_length
         return bits
-
-    def physical_value(self, data: bytes) -> float:
-        """Return the value in `unit`."""
-        return self.raw_value(data) * self.factor + self.offset
 
     def _msb_position(self) -> int:
         """Return the position of the highest bit, from the first bit sent (Motorola order)."""
@@ -151,7 +148,7 @@ def _parse_message(line: str, location: str) -> DbcMessage:
     identifier = key & ~_EXTENDED
     if identifier >= 1 << (29 if key & _EXTENDED else 11):
         # Files of Vector have signals without a message under such an identifier.
-        identifier, key = identifier & 0x1FFF_FFFF, key | _EXTENDED
+        identifier, key = identifier & EXTENDED_MASK, key | _EXTENDED
     return DbcMessage(match[2], identifier, bool(key & _EXTENDED), length, {})
 
 

@@ -48,9 +48,7 @@ from gyrorig_protocol.ptu.reply_values import (
     read_value,
     require_done,
     require_integer,
-    require_motion,
     require_resolution_arcsec,
-    require_text,
 )
 
 __all__ = [
@@ -88,7 +86,5 @@ __all__ = [
     "read_value",
     "require_done",
     "require_integer",
-    "require_motion",
     "require_resolution_arcsec",
-    "require_text",
 ]

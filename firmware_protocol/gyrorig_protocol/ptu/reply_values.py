@@ -242,32 +242,6 @@ def require_resolution_arcsec(command: PtuCommand, reply: Reply) -> float:
     return value
 
 
-def require_motion(command: PtuCommand, reply: Reply) -> MotionReading:
-    """Return the positions and speeds that answer `command`.
-
-    Raises:
-        DeviceError: the answer has no positions and speeds.
-    """
-    value = _require_value(command, reply)
-    if not isinstance(value, MotionReading):
-        raise _unreadable_error(command, reply.text, "no positions and speeds")
-    return value
-
-
-def require_text(command: PtuCommand, reply: Reply) -> str:
-    """Return the text that answers `command`.
-
-    Raises:
-        DeviceError: the answer is empty or an error.
-    """
-    value = _require_value(command, reply)
-    if isinstance(value, FirmwareVersion):
-        return value.text
-    if not isinstance(value, str):
-        raise _unreadable_error(command, reply.text, "no text")
-    return value
-
-
 def _require_value(command: PtuCommand, reply: Reply) -> Value:
     reading = read_value(command, reply)
     if isinstance(reading, Refusal):

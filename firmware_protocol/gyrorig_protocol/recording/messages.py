@@ -30,7 +30,6 @@ PTU_COMMAND_TOPIC = "/ptu/command"
 SESSION_EVENT_TOPIC = "/session/event"
 REFERENCE_ATTITUDE_TOPIC = "/reference/attitude"
 DIAGNOSTICS_TOPIC = "/diagnostics"
-LOG_TOPIC = "/rosout"
 
 Triple = tuple[int, int, int]
 

@@ -27,8 +27,6 @@ from gyrorig_solver.data import BoolArray, FloatArray, TemperatureCurve
 Frame = Literal["stage", "sensor"]
 FRAMES: tuple[Frame, ...] = ("stage", "sensor")
 
-# Causes of the catalogue that also act on later readings.
-NONLINEARITY_CAUSES = ("scale_quadratic", "scale_cubic", "scale_asymmetry")
 THERMAL_BIAS_ORDERS = ("slope", "square", "cube")
 LAG_NOTE = (
     "the lag of the die temperature is not applied, because the die is assumed to have the "

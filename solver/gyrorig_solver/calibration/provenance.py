@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from datetime import UTC, datetime
 from typing import Any
 
 from gyrorig_protocol.identity import BoardId
@@ -10,11 +9,7 @@ from gyrorig_protocol.recording.messages import imu_raw_topic
 from gyrorig_protocol.recording.recording import Recording
 from gyrorig_solver.calibration.calibration_builder import Provenance
 from gyrorig_solver.calibration.calibration_document import BoardRecord, BoardSettings, SolvedInput
-
-
-def utc_text(nanoseconds: int) -> str:
-    """Return nanoseconds since the epoch as UTC, `2026-01-31T02:30:00Z`."""
-    return datetime.fromtimestamp(nanoseconds // 1_000_000_000, UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
+from gyrorig_solver.data.utc_time import utc_text, utc_text_now
 
 
 def build_provenance(
@@ -59,7 +54,7 @@ def build_provenance(
             for recording, missing in zip(recordings, lost, strict=True)
         ],
         software=software,
-        created=datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ"),
+        created=utc_text_now(),
         settings=settings,
     )
 

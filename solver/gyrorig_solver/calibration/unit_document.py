@@ -6,7 +6,6 @@ read one, `posterior_of` for its mean and covariance.
 
 import re
 from collections.abc import Sequence
-from datetime import UTC, datetime
 from typing import Annotated, Any, Literal
 
 import msgspec
@@ -15,6 +14,7 @@ import numpy as np
 from gyrorig_protocol.documents import dump_yaml, parse_result_document
 from gyrorig_protocol.errors import InputError
 from gyrorig_solver.data import FloatArray
+from gyrorig_solver.data.utc_time import parse_utc_text, utc_text, utc_text_now
 from gyrorig_solver.uncertainty import UncertaintySettings, UnitPosterior
 from gyrorig_solver.uncertainty.unit_values import (
     table_covariance,
@@ -26,7 +26,6 @@ from gyrorig_solver.uncertainty.unit_values import (
 SCHEMA = "gyrorig/unit/1"
 UNIT_ID = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,63}")
 MAX_SIZES = 200
-TIME_FORMAT = "%Y-%m-%dT%H:%M:%SZ"
 MAX_CORRELATION_EXCESS = 1e-6  # rounding of the written digits
 
 
@@ -73,7 +72,7 @@ class UnitPosteriorDocument(_DocumentPart, frozen=True, omit_defaults=True):
 
     def days_until(self, start_ns: int) -> float:
         """Return the days between this posterior and a recording, before or after."""
-        as_of = datetime.strptime(self.as_of, TIME_FORMAT).replace(tzinfo=UTC)
+        as_of = parse_utc_text(self.as_of)
         return abs(start_ns * 1e-9 - as_of.timestamp()) / 86_400.0
 
 
@@ -115,12 +114,12 @@ def unit_document(
         recordings: the new ones.
         start_ns: start of the newest of them, since the epoch.
     """
-    start = datetime.fromtimestamp(start_ns // 1_000_000_000, UTC).strftime(TIME_FORMAT)
+    start = utc_text(start_ns)
     return UnitPosteriorDocument(
         schema="gyrorig/unit/1",
         unit=unit,
         version=1 if before is None else before.version + 1,
-        created=datetime.now(UTC).strftime(TIME_FORMAT),
+        created=utc_text_now(),
         as_of=start if before is None else max(start, before.as_of),
         names=list(unit_value_names()),
         units=list(unit_value_units()),
@@ -162,7 +161,7 @@ def _find_problem(document: UnitPosteriorDocument) -> str | None:
     if not UNIT_ID.fullmatch(document.unit.id):
         return "has an invalid id of the unit"
     try:
-        datetime.strptime(document.as_of, TIME_FORMAT)
+        parse_utc_text(document.as_of)
     except ValueError:
         return "has an invalid time `as_of`"
     return None if _is_covariance(np.array(document.covariance)) else "has no valid covariance"

@@ -20,6 +20,7 @@ from gyrorig_solver.commands.stored_versions import (
 )
 from gyrorig_solver.commands.terminal import Terminal, json_option
 from gyrorig_solver.data.text_table import format_table
+from gyrorig_solver.data.utc_time import TIME_FORMAT
 from gyrorig_solver.fleet.column_units import column_label, column_unit
 from gyrorig_solver.fleet.drift.shrinkage_files import read_shrinkage_estimates
 from gyrorig_solver.fleet.store import open_existing_store, read_signer, rebuild_index, verify
@@ -37,7 +38,7 @@ from gyrorig_solver.storage import Storage, StorageOption, write_file
 
 _DAMAGED_STATUS = 3
 _FAULTS_SHOWN = 50
-_DATES = ["%Y-%m-%d", "%Y-%m-%dT%H:%M:%SZ"]
+_DATES = ["%Y-%m-%d", TIME_FORMAT]
 _DATE = "YYYY-MM-DD[THH:MM:SSZ]"
 
 _store_argument = click.argument("folder", metavar="STORE", type=StorageOption())
@@ -349,5 +350,5 @@ def _cell_text(value: Any) -> str:
 
 def _json_value(value: Any) -> Any:
     if isinstance(value, datetime):
-        return f"{value:%Y-%m-%dT%H:%M:%SZ}"
+        return value.strftime(TIME_FORMAT)
     return value

@@ -15,6 +15,7 @@ import numpy as np
 from gyrorig_solver.data.arrays import BoolArray, FloatArray
 
 CUBIC = 3
+CUBIC_FIT_POINTS = 201  # at which a spline is compared with a cubic
 RANGE_TOLERANCE_K = 0.5  # half a step of a coarse thermometer
 
 
@@ -65,7 +66,7 @@ class TemperatureCurve:
             (degc >= low - RANGE_TOLERANCE_K) & (degc <= high + RANGE_TOLERANCE_K), dtype=np.bool_
         )
 
-    def as_cubic(self, points: int = 201) -> tuple[Self, FloatArray]:
+    def as_cubic(self) -> tuple[Self, FloatArray]:
         """Return the cubic polynomial that is nearest to the curve, with its largest error, (3,).
 
         A polynomial of the third order or less is returned as it is.
@@ -77,7 +78,7 @@ class TemperatureCurve:
             return self, np.zeros(3)
         if self.range_degc is None:
             raise ValueError("a spline without a range")
-        degc = np.linspace(*self.range_degc, points)
+        degc = np.linspace(*self.range_degc, CUBIC_FIT_POINTS)
         change = self.change(degc)
         scale = max(np.ptp(degc), 1e-9)
         # Chebyshev nodes' weights keep the error at the ends of the range small.

@@ -60,16 +60,14 @@ MOTION_CHECKS: tuple[Check[MotionFitSpace], ...] = (
 )
 
 
-def explain_fit(base: ConvergedFit, board: str, start_s: float | None = None) -> FitExplanation:
+def explain_fit(base: ConvergedFit, board: str) -> FitExplanation:
     """Search for the causes of the residual of a fit to a motion.
 
     Args:
         base: the fit; it is left as it is.
         board: its name.
-        start_s: when the work began, `time.monotonic`.
     """
-    space = MotionFitSpace(base)
-    start_s = time.monotonic() if start_s is None else start_s
+    start_s, space = time.monotonic(), MotionFitSpace(base)
     return explain_search(space, search_causes(space), board, start_s)
 
 

@@ -4,7 +4,7 @@ What to use when:
 
 - `motion_fit.fit_motion` and `fit_recordings` for a board on a pan-tilt unit or at rest;
   `multi_board_fit` for several boards that were on one unit at the same time.
-- `attitude.attitude_fit`, `turn_fit` and `gravity_fit` for the other references.
+- `attitude.attitude_summary`, `turn_fit` and `gravity_fit` for the other references.
 - `likelihood_fit` for the fit of one or more boards, `board_fit` for one board, `session_fit` for
   one recording; `parameter_layout` for the order of their parameters.
 - `fitted_term` and `cascade` for causes in a fit.
@@ -16,8 +16,8 @@ What to use when:
 """
 
 from gyrorig_solver.estimate.attitude.attitude_conventions import judge_conventions
-from gyrorig_solver.estimate.attitude.attitude_fit import fit_attitude
 from gyrorig_solver.estimate.attitude.attitude_projector import AttitudeProjector
+from gyrorig_solver.estimate.attitude.attitude_summary import fit_attitude
 from gyrorig_solver.estimate.cascade import total_effect
 from gyrorig_solver.estimate.converged_fit import ConvergedFit
 from gyrorig_solver.estimate.derived_parameters import derive_parameters

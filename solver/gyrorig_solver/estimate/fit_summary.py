@@ -1,6 +1,6 @@
 """The summary of an estimate as a `GyroFit`, for every kind of reference.
 
-What to use when: `build_gyro_fit` at the end of `motion_fit`, `attitude_fit`, `turn_fit` and
+What to use when: `build_gyro_fit` at the end of `motion_fit`, `attitude_summary`, `turn_fit` and
 `gravity_fit`, each of which adds only its own facts.
 """
 

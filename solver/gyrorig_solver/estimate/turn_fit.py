@@ -65,14 +65,11 @@ class _IntegratedTurn:
     span_s: float
 
 
-def fit_turns(
-    recordings: Sequence[tuple[GyroSamples, TurnReference]], axis_std_rad: float = AXIS_STD_RAD
-) -> GyroFit:
+def fit_turns(recordings: Sequence[tuple[GyroSamples, TurnReference]]) -> GyroFit:
     """Calibrate one board with known turns.
 
     Args:
         recordings: samples and phases of each recording of the board.
-        axis_std_rad: of the turns' axes, for each of the two perpendicular directions.
 
     Returns:
         The fit; columns of G without a turn are not given.
@@ -100,7 +97,7 @@ def fit_turns(
             "the solver estimates the bias at rest, but the board never rests in these recordings",
             "add a recording of this board at rest",
         )
-    solver = _TurnSolver(integrated_turns, rests, axis_std_rad)
+    solver = _TurnSolver(integrated_turns, rests)
     solver.run()
     reduced_chi2, degrees_of_freedom = solver.reduced_chi2()
     inflation = max(1.0, reduced_chi2) if degrees_of_freedom > 0 else 1.0
@@ -118,20 +115,16 @@ def fit_turns(
         rms_after_rad_s=solver.rms_rad_s(nominal=False),
         reference=f"{len(integrated_turns)} turns by known angles, {sum(map(len, rests))} rests",
         reason_texts=REASON_TEXTS,
-        warnings=_warnings(
-            solver, integrated_turns[0].turn.std_rad, axis_std_rad, degrees_of_freedom > 0
-        ),
+        warnings=_warnings(solver, integrated_turns[0].turn.std_rad, degrees_of_freedom > 0),
         recordings=solver.recording_fits(inflation) if len(recordings) > 1 else (),
     )
     return build_gyro_fit(outcome, [samples for samples, _ in recordings])
 
 
-def _warnings(
-    solver: "_TurnSolver", std_rad: float, axis_std_rad: float, is_checked: bool
-) -> tuple[str, ...]:
+def _warnings(solver: "_TurnSolver", std_rad: float, is_checked: bool) -> tuple[str, ...]:
     text = (
         f"the uncertainties of the stated angles ({np.degrees(std_rad):.2g} deg) and of the stated "
-        f"axes ({np.degrees(axis_std_rad):.2g} deg) limit the accuracy of the result"
+        f"axes ({np.degrees(AXIS_STD_RAD):.2g} deg) limit the accuracy of the result"
     )
     text += "" if is_checked else "; the recordings cannot check these uncertainties"
     unseen_axes = "".join(
@@ -197,10 +190,7 @@ class _TurnSolver:
     """Gauss-Newton over G and each recording's b; only the weights depend on G."""
 
     def __init__(
-        self,
-        integrated_turns: list[_IntegratedTurn],
-        rests: Sequence[FloatArray],
-        axis_std_rad: float,
+        self, integrated_turns: list[_IntegratedTurn], rests: Sequence[FloatArray]
     ) -> None:
         """Start with the nominal gain and the mean rates of the rests.
 
@@ -208,9 +198,8 @@ class _TurnSolver:
             integrated_turns: of all recordings.
             rests: mean rates of each recording's rests, (n, 3). A recording without a rest has the
                 bias of the others, with its scatter.
-            axis_std_rad: of the turns' axes.
         """
-        self._integrated_turns, self._axis_std_rad = integrated_turns, axis_std_rad
+        self._integrated_turns = integrated_turns
         pooled = np.concatenate(rests)
         self._layout = ParameterLayout.of([()], len(rests))
         self._rests = [rates if len(rates) else pooled for rates in rests]
@@ -283,7 +272,7 @@ class _TurnSolver:
         """Return the covariance of a turn's integral: angle, axis, bias."""
         turn = integrated.turn
         by_angle = self._gain @ turn.axis
-        by_axis = self._gain @ cross_matrix(turn.axis) * turn.angle_rad * self._axis_std_rad
+        by_axis = self._gain @ cross_matrix(turn.axis) * turn.angle_rad * AXIS_STD_RAD
         drift = np.diag((self._rest_std[integrated.recording] * integrated.span_s) ** 2)
         return np.asarray(
             np.outer(by_angle, by_angle) * turn.std_rad**2 + by_axis @ by_axis.T + drift,

@@ -1,7 +1,7 @@
 """Numerical tools without any physics: probability distributions and structured linear algebra.
 
 What to use when: `distributions` for p-values and limits, `arrowhead` for information matrices
-with many local and a few shared unknowns.
+with many local and a few shared unknowns, `information_matrices` for dense ones.
 """
 
 from gyrorig_solver.numerics.arrowhead import ArrowheadMatrix, eliminate_local, solve_arrowhead
@@ -13,6 +13,11 @@ from gyrorig_solver.numerics.distributions import (
     normal_upper_tail,
     student_factor,
 )
+from gyrorig_solver.numerics.information_matrices import (
+    positive_part,
+    posterior_covariance,
+    score_statistic,
+)
 
 __all__ = [
     "ArrowheadMatrix",
@@ -22,6 +27,9 @@ __all__ = [
     "eliminate_local",
     "normal_quantile",
     "normal_upper_tail",
+    "positive_part",
+    "posterior_covariance",
+    "score_statistic",
     "solve_arrowhead",
     "student_factor",
 ]

@@ -6,7 +6,6 @@ where its recordings are loaded already; `write_explanation` for the folder of f
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from datetime import UTC, datetime
 from importlib.metadata import version as installed_version
 from pathlib import Path
 
@@ -15,6 +14,7 @@ import msgspec
 from gyrorig_protocol.errors import GyrorigError
 from gyrorig_protocol.identity import BoardId
 from gyrorig_protocol.recording.recording import Recording
+from gyrorig_solver.data.utc_time import utc_text_now
 from gyrorig_solver.discover import explain_jointly
 from gyrorig_solver.estimate import ConvergedFit
 from gyrorig_solver.findings import (
@@ -205,7 +205,7 @@ def build_document(
     origin = FindingsOrigin(
         board=BoardEntry(str(explanation.board), metadata.get("sensor", "")),
         recordings=[InputEntry(r.path.name, r.sha256) for r in explanation.recordings],
-        created=datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ"),
+        created=utc_text_now(),
         software=installed_version("gyrorig"),
     )
     return build_findings_document(

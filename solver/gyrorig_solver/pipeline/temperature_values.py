@@ -6,7 +6,6 @@ What to use when: `read_values` for the inputs, `with_temperature_curves` for th
 import csv
 from collections.abc import Sequence
 from dataclasses import dataclass
-from datetime import UTC, datetime
 from importlib.metadata import version as installed_version
 from pathlib import Path
 
@@ -33,6 +32,7 @@ from gyrorig_solver.calibration.calibration_document import (
 from gyrorig_solver.calibration.temperature_record import TemperaturePoint
 from gyrorig_solver.data import FloatArray
 from gyrorig_solver.data.text_table import check_text_table
+from gyrorig_solver.data.utc_time import utc_text_now
 from gyrorig_solver.estimate import TemperatureFit, fit_temperature
 from gyrorig_solver.estimate.temperature import BiasTable
 from gyrorig_solver.model import PARAMETER_GROUPS
@@ -316,7 +316,7 @@ def document_without_motion(board: str, sensor: str) -> CalibrationDocument:
         schema="gyrorig/calibration/1",
         board=BoardRecord(board, "unknown", sensor, BoardSettings()),
         version=1,
-        created=datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ"),
+        created=utc_text_now(),
         inputs=[],
         solver=SolverRecord(
             installed_version("gyrorig"), "likelihood", ["bias"], settings_sha256({})

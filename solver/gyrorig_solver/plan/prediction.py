@@ -131,7 +131,7 @@ def predict_program(program: MotionProgram, unit: UnitModel, sensor: SensorModel
 
 def simulate_reference(timeline: ProgramTimeline, unit: UnitModel) -> PanTiltReference:
     """Return the reference motion that the solver would fit from the simulated replies."""
-    motion = MotionReader(timeline.settings, timeline.start_steps).read(timeline.orders)
+    motion = MotionReader(timeline.settings, (0, 0)).read(timeline.orders)
     polls = timeline.simulate_polls(unit)
     pan, tilt = (np.radians(axis.resolution_arcsec / ARCSEC_PER_DEG) for axis in unit.axes)
     span_s = (0.0, timeline.duration_s)

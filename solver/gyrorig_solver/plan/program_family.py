@@ -127,12 +127,9 @@ class ProgramDesign:
         """Return the waypoint at which a cycle, or all sweeps, start and end."""
         return self._waypoint(0.0 if self.once else -1.0, -1.0, space)
 
-    def round_waypoints(
-        self, space: MotionSpace, max_points: int | None = None
-    ) -> tuple[Waypoint, ...]:
+    def round_waypoints(self, space: MotionSpace) -> tuple[Waypoint, ...]:
         """Return the waypoints of a round, from one end of pan to the other."""
-        path = self._round_path()
-        return tuple(self._waypoint(pan, tilt, space) for pan, tilt in path[:max_points])
+        return tuple(self._waypoint(pan, tilt, space) for pan, tilt in self._round_path())
 
     def cycle_waypoints(
         self, space: MotionSpace, max_points: int | None = None

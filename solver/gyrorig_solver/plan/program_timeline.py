@@ -32,8 +32,6 @@ class ProgramTimeline:
 
     orders: tuple[UnitOrder, ...]
     profiles: tuple[tuple[MotionProfile, ...], tuple[MotionProfile, ...]]  # pan, tilt, in steps
-    start_steps: tuple[int, int]
-    end_steps: tuple[int, int]
     settings: dict[str, float]  # as a recording's metadata has them
     poll_s: FloatArray  # when a position was asked for
     program_s: float
@@ -45,9 +43,8 @@ class ProgramTimeline:
 
     def position_steps(self, time_s: FloatArray) -> FloatArray:
         """Return pan and tilt at times, shape (n, 2)."""
-        steps = np.empty((time_s.size, 2))
+        steps = np.zeros((time_s.size, 2))
         for axis in (0, 1):
-            steps[:, axis] = self.start_steps[axis]
             for profile in self.profiles[axis]:
                 first, last = np.searchsorted(time_s, [profile.start_s[0], profile.end_s])
                 steps[first:last, axis] = profile.position_steps(time_s[first:last])
@@ -70,15 +67,13 @@ class ProgramTimeline:
         return UnitPolls(at_s - half_s, at_s + half_s, counts, valid)
 
 
-def simulate_program(
-    program: MotionProgram, unit: UnitModel, start_steps: tuple[int, int] = (0, 0)
-) -> ProgramTimeline:
-    """Simulate how the daemon executes a program.
+def simulate_program(program: MotionProgram, unit: UnitModel) -> ProgramTimeline:
+    """Simulate how the daemon executes a program; the unit starts at home, steps (0, 0).
 
     Raises:
         UsageError: a step leaves the unit's limits or speeds; its number is in the text.
     """
-    run = _ProgramRun(program, unit, start_steps)
+    run = _ProgramRun(program, unit)
     for number, step in enumerate(unroll_steps(program.steps, program.name), start=1):
         if isinstance(step, Rest):
             run.rest(step.seconds)
@@ -91,7 +86,6 @@ def simulate_program(
 class _ProgramRun:
     program: MotionProgram
     unit: UnitModel
-    start_steps: tuple[int, int]
     now_s: float = 0.0
     orders: list[UnitOrder] = field(default_factory=list)
     profiles: tuple[list[MotionProfile], list[MotionProfile]] = field(
@@ -99,10 +93,7 @@ class _ProgramRun:
     )
     blocks: list[tuple[float, int]] = field(default_factory=list)
     poll_count: int = 0
-    position_steps: list[int] = field(default_factory=list)
-
-    def __post_init__(self) -> None:
-        self.position_steps = list(self.start_steps)
+    position_steps: list[int] = field(default_factory=lambda: [0, 0])
 
     def rest(self, seconds: float) -> None:
         """Poll the position for a time."""
@@ -145,8 +136,6 @@ class _ProgramRun:
         return ProgramTimeline(
             tuple(self.orders),
             (tuple(self.profiles[0]), tuple(self.profiles[1])),
-            self.start_steps,
-            (self.position_steps[0], self.position_steps[1]),
             settings,
             np.concatenate(poll_times),
             program_s,

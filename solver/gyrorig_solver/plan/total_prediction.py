@@ -16,6 +16,7 @@ from gyrorig_solver.data import BoolArray, FloatArray
 from gyrorig_solver.estimate import ObservabilityAnalysis
 from gyrorig_solver.model import SignalState, Site, value_indices
 from gyrorig_solver.model.catalogue import catalogue
+from gyrorig_solver.numerics import posterior_covariance
 from gyrorig_solver.plan.effect_information import EffectInformation
 from gyrorig_solver.plan.prediction import CALIBRATION_PARAMETERS, Prediction
 from gyrorig_solver.plan.scan_templates import signal_states
@@ -146,9 +147,7 @@ def _posterior_covariance(
         before[np.ix_(unit, unit)] = prior.unit.covariance[
             np.ix_(positions[unit], positions[unit])
         ] / np.outer(scales[unit], scales[unit])
-    inner = np.eye(len(information)) + information @ before
-    covariance = np.linalg.solve(inner.T, before).T
-    return np.asarray(0.5 * (covariance + covariance.T), dtype=np.float64)
+    return posterior_covariance(information, before)
 
 
 def _noise_of_suggestions(

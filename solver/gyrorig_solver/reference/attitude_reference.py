@@ -105,8 +105,8 @@ class AttitudeReference:
             drift=None,
         )
 
-    def rate_segments(self, min_attitudes: int = MIN_SEGMENT_ATTITUDES) -> list[BodyRateSegment]:
-        """Return the segments of at least `min_attitudes` attitudes without a gap."""
+    def rate_segments(self) -> list[BodyRateSegment]:
+        """Return the segments of at least `MIN_SEGMENT_ATTITUDES` attitudes without a gap."""
         is_known = np.all(np.isfinite(self.orientation_xyzw), axis=1)
         rows = np.flatnonzero(is_known)
         if self.time_s.size < 2 or rows.size < 2:
@@ -127,7 +127,7 @@ class AttitudeReference:
             joined &= cuts[rows[1:]] == cuts[rows[:-1]]
         segments = []
         for first, last in _true_ranges(joined):
-            if last - first < max(min_attitudes, 3):
+            if last - first < MIN_SEGMENT_ATTITUDES:
                 continue
             used = rows[first:last]
             segments.append(

@@ -6,7 +6,6 @@ folder of the twin.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from datetime import UTC, datetime
 from importlib.metadata import version as installed_version
 from itertools import count
 from pathlib import Path
@@ -16,6 +15,7 @@ from gyrorig_protocol.documents import dump_yaml, finite_values
 from gyrorig_protocol.errors import InputError, MachineError, UsageError
 from gyrorig_protocol.recording.recording import Recording, in_order_of_time
 from gyrorig_protocol.twin import Twin, TwinRecording, TwinUnit, check_twin, twin_to_plain
+from gyrorig_solver.data.utc_time import utc_text_now
 from gyrorig_solver.pipeline import BoardData, CriticisedFit, has_unit
 from gyrorig_solver.storage import write_file
 from gyrorig_solver.twin.board_measurement import measure_board
@@ -92,7 +92,7 @@ def build_twin(boards: Mapping[str, BoardData], fits: Mapping[str, CriticisedFit
     unit = _measure_unit(boards, fits, link)
     twin = Twin(
         schema="gyrorig/twin/1",
-        created=datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ"),
+        created=utc_text_now(),
         software=installed_version("gyrorig"),
         recordings=tuple(_recording_entry(recording, boards) for recording in recordings),
         unit=unit,

@@ -22,7 +22,7 @@ from gyrorig_solver.discover import CALIBRATION_PARAMETERS, CalibrationValues
 from gyrorig_solver.discover.calibration_changes import CALIBRATION_UNITS
 from gyrorig_solver.estimate import GAIN_PARAMETERS, SESSION_PARAMETERS, ConvergedFit
 from gyrorig_solver.model import find_term
-from gyrorig_solver.numerics import chi2_upper_tail
+from gyrorig_solver.numerics import chi2_upper_tail, score_statistic
 from gyrorig_solver.uncertainty.uncertainty_budget import UncertaintyBudget, assess_uncertainty
 from gyrorig_solver.uncertainty.uncertainty_settings import default_settings
 
@@ -109,10 +109,9 @@ def _compare_pair(first: GainEstimate, second: GainEstimate) -> GainDisagreement
     covariance = first.covariance + second.covariance + _temperature_covariance(first, second)
     covariance = covariance[np.ix_(known, known)]
     std = np.sqrt(np.diag(covariance))
-    eigenvalues, directions = np.linalg.eigh(covariance / np.outer(std, std))
-    used = eigenvalues > MIN_RELATIVE_VARIANCE
-    projected = directions[:, used].T @ (difference / std)
-    statistic, degrees = float(projected**2 @ (1.0 / eigenvalues[used])), int(used.sum())
+    statistic, degrees = score_statistic(
+        covariance / np.outer(std, std), difference / std, MIN_RELATIVE_VARIANCE, largest=1.0
+    )
     worst = int(np.argmax(np.abs(difference) / std))
     return GainDisagreement(
         first=first.name,

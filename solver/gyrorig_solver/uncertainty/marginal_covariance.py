@@ -70,9 +70,3 @@ class MarginalCauses:
         error_without = self.expected_error - weight[:, -1] @ moved
         saved = variance + self.expected_error**2 - error_without**2
         return np.asarray(np.clip(saved, 0.0, None), dtype=np.float64)
-
-
-def without_rounding(information: FloatArray) -> FloatArray:
-    """Return a positive semidefinite matrix: rounding leaves a little below zero."""
-    values, vectors = np.linalg.eigh(0.5 * (information + information.T))
-    return np.asarray((vectors * np.clip(values, 0.0, None)) @ vectors.T, dtype=np.float64)

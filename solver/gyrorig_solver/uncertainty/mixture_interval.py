@@ -27,7 +27,7 @@ import numpy as np
 from scipy.special import ndtr
 
 from gyrorig_solver.data import BoolArray, FloatArray, IntArray
-from gyrorig_solver.uncertainty.marginal_covariance import without_rounding
+from gyrorig_solver.numerics import positive_part, posterior_covariance
 
 # Of the most probable configuration's probability: smaller ones are not followed, or not counted.
 FOLLOWED_SHARE, COUNTED_SHARE = 1e-2, 1e-5
@@ -123,21 +123,17 @@ def _split_certain(
     """Return the error by the certain causes, and the other sizes with these marginalised."""
     certain, rest = np.flatnonzero(is_certain), np.flatnonzero(~is_certain)
     prior = sizes.prior_covariance[np.ix_(certain, certain)]
-    information = without_rounding(sizes.information)
+    information = positive_part(sizes.information)
     among = information[np.ix_(certain, certain)]
     cross = information[np.ix_(rest, certain)]
-    # (P^-1 + F)^-1 without the inverse of P, as in `UnitPosterior.updated`.
-    covariance = np.linalg.solve((np.eye(certain.size) + among @ prior).T, prior).T
-    covariance = 0.5 * (covariance + covariance.T)
+    covariance = posterior_covariance(among, prior)
     prior_mean = sizes.prior_mean[certain]
     mean = prior_mean + covariance @ (sizes.score[certain] - among @ prior_mean)
     influence = sizes.influence[certain]
     moved = covariance @ influence
     error = ErrorMixture.normal(mean @ influence, np.sum(influence * moved, axis=0))
     return error, UncertainSizes(
-        information=without_rounding(
-            information[np.ix_(rest, rest)] - cross @ covariance @ cross.T
-        ),
+        information=positive_part(information[np.ix_(rest, rest)] - cross @ covariance @ cross.T),
         score=sizes.score[rest] - cross @ mean,
         influence=sizes.influence[rest] - cross @ moved,
         cause=sizes.cause[rest],

@@ -22,8 +22,8 @@ from typing import Self
 import numpy as np
 
 from gyrorig_solver.data import FloatArray
+from gyrorig_solver.numerics import positive_part, posterior_covariance
 from gyrorig_solver.uncertainty.fit_linearisation import FitLinearisation
-from gyrorig_solver.uncertainty.marginal_covariance import without_rounding
 from gyrorig_solver.uncertainty.unit_values import UnitInformation, UnitPosterior
 
 
@@ -45,10 +45,7 @@ class UnitMarginals:
         """Combine a fit with the posterior of its unit."""
         information, score = fit.data_terms()
         prior_covariance, prior_mean = size_prior(fit, prior)
-        # (P^-1 + J)^-1 without the inverse of P, as in `UnitPosterior.updated`.
-        inner = np.eye(len(score)) + information @ prior_covariance
-        covariance = np.linalg.solve(inner.T, prior_covariance).T
-        covariance = 0.5 * (covariance + covariance.T)
+        covariance = posterior_covariance(information, prior_covariance)
         mean = prior_mean + covariance @ (score - information @ prior_mean)
         derivative, regression = fit.parameter_terms()
         is_unit = fit.unit_position >= 0
@@ -88,7 +85,7 @@ def unit_information(fit: FitLinearisation, unit_size_count: int) -> UnitInforma
     reduced_score = score[unit] - cross @ weight[:, -1]
     scale, position = fit.unit_scale[unit], fit.unit_position[unit]
     matrix, vector = np.zeros((unit_size_count, unit_size_count)), np.zeros(unit_size_count)
-    matrix[np.ix_(position, position)] = without_rounding(reduced) / np.outer(scale, scale)
+    matrix[np.ix_(position, position)] = positive_part(reduced) / np.outer(scale, scale)
     vector[position] = reduced_score / scale
     return UnitInformation(matrix, vector)
 

@@ -25,6 +25,7 @@ from gyrorig_solver.model import (
     value_parameters,
 )
 from gyrorig_solver.model.catalogue import catalogue
+from gyrorig_solver.numerics import posterior_covariance
 from gyrorig_solver.uncertainty.uncertainty_settings import UncertaintySettings
 
 # A fitted shape that is farther from the card's start value describes another effect, such as a
@@ -57,10 +58,7 @@ class UnitPosterior:
         prior = self.covariance / np.outer(scale, scale)
         data = information.matrix * np.outer(scale, scale)
         score = (information.vector - information.matrix @ self.mean) * scale
-        # (P^-1 + J)^-1 without the inverse of P, which a size of zero makes singular.
-        inner = np.eye(len(prior)) + data @ prior
-        covariance = np.linalg.solve(inner.T, prior).T
-        covariance = 0.5 * (covariance + covariance.T)
+        covariance = posterior_covariance(data, prior)
         return replace(
             self,
             mean=self.mean + scale * (covariance @ score),

@@ -95,7 +95,7 @@ def test_axes_that_start_together_move_together(rig: RigModel) -> None:
         ("TARGET", "TILT", 389.0),
         ("IMMEDIATE", "BOTH", 0.0),
     ]
-    assert timeline.end_steps == (1750, 389)
+    assert timeline.position_steps(np.array([timeline.duration_s])).tolist() == [[1750.0, 389.0]]
     assert pan.end_s < timeline.program_s < pan.end_s + 0.1
 
 

@@ -130,8 +130,7 @@ def _power_up_reset(on: bool) -> UnitHandler:
     return handler
 
 
-def _save(unit: UnitController, _time_s: float) -> Reply:
-    unit.eeprom_writes += 1
+def _save(_unit: UnitController, _time_s: float) -> Reply:
     return DONE
 
 

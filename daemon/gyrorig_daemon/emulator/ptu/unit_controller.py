@@ -95,7 +95,6 @@ class UnitController:
     selected: bool = True
     broadcast: bool = False
     new_baud: int | None = None
-    eeprom_writes: int = 0
     resets_at_power_up: bool = True
 
     def to_ns(self, time_s: float) -> int:

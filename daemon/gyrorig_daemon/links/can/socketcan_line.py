@@ -18,13 +18,12 @@ from gyrorig_daemon.links.can.can_socket import CanSocketLine
 from gyrorig_daemon.links.can.multicast_line import MulticastLine
 from gyrorig_daemon.links.ports.port_kinds import Line, PortSettings
 from gyrorig_daemon.links.ports.serial_port import PortRefusedError
-from gyrorig_protocol.can.can_frame import RECORD, FrameFlag
+from gyrorig_protocol.can.can_frame import EXTENDED_MASK, RECORD, STANDARD_MASK, FrameFlag
 
 _CAN_RAW_ERR_FILTER = 2  # <linux/can/raw.h>
 _CAN_RAW_LOOPBACK = 3
 _CAN_RAW_RECV_OWN_MSGS = 4
 _SOL_CAN_RAW = 101
-_CAN_ERR_MASK = 0x1FFF_FFFF
 _CAN_FRAME = struct.Struct("=IB3x8s")  # struct can_frame
 _EFF_FLAG, _RTR_FLAG, _ERR_FLAG = 1 << 31, 1 << 30, 1 << 29
 # Combining enum flags takes 1 us each.
@@ -74,7 +73,7 @@ class SocketCanLine(CanSocketLine):
             super().__init__(bus)
             bus.setsockopt(_SOL_CAN_RAW, _CAN_RAW_LOOPBACK, 1)
             bus.setsockopt(_SOL_CAN_RAW, _CAN_RAW_RECV_OWN_MSGS, 1)
-            bus.setsockopt(_SOL_CAN_RAW, _CAN_RAW_ERR_FILTER, _CAN_ERR_MASK)
+            bus.setsockopt(_SOL_CAN_RAW, _CAN_RAW_ERR_FILTER, EXTENDED_MASK)
             bus.bind((interface,))
         except OSError:
             bus.close()
@@ -96,12 +95,12 @@ def socketcan_record(data: bytes, stamp_ns: int) -> bytes:
         return RECORD.pack(0, _FOREIGN, 0, b"", stamp_ns)
     word, length, content = _CAN_FRAME.unpack(data)
     if word & _ERR_FLAG:
-        return RECORD.pack(word & _CAN_ERR_MASK, _ERROR, 8, content, stamp_ns)
+        return RECORD.pack(word & EXTENDED_MASK, _ERROR, 8, content, stamp_ns)
     flags = 0
     if word & _EFF_FLAG:
-        flags, identifier = _EXTENDED, word & 0x1FFF_FFFF
+        flags, identifier = _EXTENDED, word & EXTENDED_MASK
     else:
-        identifier = word & 0x7FF
+        identifier = word & STANDARD_MASK
     if word & _RTR_FLAG:
         flags |= _REMOTE
     return RECORD.pack(identifier, flags, min(length, 8), content, stamp_ns)

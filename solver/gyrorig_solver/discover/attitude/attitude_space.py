@@ -36,9 +36,11 @@ from gyrorig_solver.estimate import (
 )
 from gyrorig_solver.estimate.attitude.attitude_fit import (
     AttitudeFit,
-    build_outcome,
     solve_attitude,
     solve_without_effects,
+)
+from gyrorig_solver.estimate.attitude.attitude_summary import (
+    build_outcome,
     summarize_attitude_fit,
     widened_observability,
 )

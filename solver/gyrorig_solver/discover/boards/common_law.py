@@ -15,6 +15,7 @@ from gyrorig_solver.discover.fitted_values import value_positions
 from gyrorig_solver.discover.motion_space import MotionFitSpace
 from gyrorig_solver.estimate import FittedTerm, GaussianPrior, fit_boards_jointly
 from gyrorig_solver.model import Term, term_label
+from gyrorig_solver.numerics import positive_part
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -73,8 +74,7 @@ def _prior_from_joint(
     values, information = zip(
         *(_values_and_information(space, term_index) for space in (single, joint)), strict=True
     )
-    strength, along = np.linalg.eigh(information[1] - information[0])
-    added = (along * np.clip(strength, 0.0, None)) @ along.T
+    added = positive_part(information[1] - information[0])
     pull = (information[0] + added) @ values[1] - information[0] @ values[0]
     return GaussianPrior(np.linalg.pinv(added, hermitian=True) @ pull, added)
 

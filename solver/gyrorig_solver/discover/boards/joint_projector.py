@@ -28,7 +28,7 @@ from gyrorig_solver.estimate import (
 )
 from gyrorig_solver.estimate.whitened_signals import join_channels
 from gyrorig_solver.model import Term
-from gyrorig_solver.numerics import chi2_upper_tail
+from gyrorig_solver.numerics import chi2_upper_tail, positive_part
 
 MIN_RELATIVE_INFORMATION = 1e-7  # of the values' own: a direction with less information is ignored
 
@@ -247,8 +247,7 @@ def prior_from_others(
         joint: all boards together.
         single: the board that receives the prior.
     """
-    strength, along = np.linalg.eigh(joint.information - single.information)
-    information = (along * np.clip(strength, 0.0, None)) @ along.T
+    information = positive_part(joint.information - single.information)
     return GaussianPrior(values - _pseudo_inverse(information)[0] @ single.slope, information)
 
 

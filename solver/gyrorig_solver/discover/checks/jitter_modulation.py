@@ -21,7 +21,7 @@ import numpy as np
 from gyrorig_solver.data import BoolArray, FloatArray
 from gyrorig_solver.discover.cause_findings import DependenceTest
 from gyrorig_solver.model import SignalState
-from gyrorig_solver.numerics import chi2_upper_tail
+from gyrorig_solver.numerics import chi2_upper_tail, score_statistic
 
 MODULATION_WAVES = 3  # half waves of the speed and of the time
 MIN_RELATIVE_STRENGTH = (
@@ -125,10 +125,9 @@ def _score_statistic(directions: FloatArray, excess: FloatArray) -> tuple[float,
     is_strong = energy > 0.0
     scale = np.sqrt(2.0 * energy[is_strong])
     correlation = 2.0 * (directions[is_strong] @ directions[is_strong].T) / np.outer(scale, scale)
-    eigenvalues, eigenvectors = np.linalg.eigh(correlation)
-    keep = eigenvalues > MIN_RELATIVE_STRENGTH * eigenvalues[-1]
-    score = eigenvectors[:, keep].T @ (directions[is_strong] @ excess / scale)
-    return float(np.sum(score**2 / eigenvalues[keep])), int(keep.sum()) - 1
+    score = directions[is_strong] @ excess / scale
+    statistic, degrees = score_statistic(correlation, score, MIN_RELATIVE_STRENGTH)
+    return statistic, degrees - 1
 
 
 def _cosine_basis(x: FloatArray) -> FloatArray:

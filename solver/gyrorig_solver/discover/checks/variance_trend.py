@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gyrorig_solver.data import FloatArray
-from gyrorig_solver.numerics import chi2_upper_tail, normal_upper_tail
+from gyrorig_solver.numerics import chi2_upper_tail, normal_upper_tail, score_statistic
 
 SPEED_WAVES = 3  # half waves over the speeds
 MOVING_RAD_S = 1e-3
@@ -57,10 +57,9 @@ def fit_variance_trend(
     first_shape_test = VarianceTrendTest(max(z, 0.0) ** 2, 1, normal_upper_tail(z))
     if len(shapes) == 1 or (z <= 0.0 and not two_sided):
         return first_shape_test
-    eigenvalues, eigenvectors = np.linalg.eigh(2.0 * weights @ weights.T)
-    keep = eigenvalues > MIN_RELATIVE_STRENGTH * eigenvalues[-1]
-    score = eigenvectors[:, keep].T @ (weights @ excess)
-    statistic, degrees = float(np.sum(score**2 / eigenvalues[keep])), int(keep.sum())
+    statistic, degrees = score_statistic(
+        2.0 * weights @ weights.T, weights @ excess, MIN_RELATIVE_STRENGTH
+    )
     joint_test = VarianceTrendTest(statistic, degrees, chi2_upper_tail(statistic, degrees))
     best = min(first_shape_test, joint_test, key=lambda test: test.p_value)
     return VarianceTrendTest(best.statistic, best.degrees_of_freedom, min(1.0, 2.0 * best.p_value))

@@ -1,6 +1,6 @@
 """The Gauss-Newton iterations of the fit to a reference attitude, in the DCT domain.
 
-What to use when: inside `attitude_fit.fit_attitude`, whose docstring has the theory.
+What to use when: inside `attitude_fit.solve_attitude`, whose module has the theory.
 """
 
 from collections.abc import Sequence

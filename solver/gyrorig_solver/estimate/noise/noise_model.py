@@ -24,6 +24,7 @@ from gyrorig_solver.data import FloatArray
 from gyrorig_solver.model.low_pass import power_gain
 
 ALIAS_ORDER = 4
+SPECTRUM_BINS = 60
 # Priors of the levels' logarithms, and limits of Fisher scoring.
 WHITE_PRIOR_LOG_STD, PRIOR_LOG_STD = 10.0, 3.0
 LEVEL_ITERATIONS = 50
@@ -178,18 +179,18 @@ class Periodogram:
         return Periodogram(self.frequency_hz[inside], self.density[inside], self.white_power)
 
 
-def bin_spectrum(pieces: Sequence[Periodogram], bins: int = 60) -> Spectrum:
-    """Return the residual's density over all segments, in at most `bins` bins."""
+def bin_spectrum(pieces: Sequence[Periodogram]) -> Spectrum:
+    """Return the residual's density over all segments, in at most `SPECTRUM_BINS` bins."""
     f = np.concatenate([piece.frequency_hz for piece in pieces])
     power = np.concatenate([piece.density for piece in pieces])
-    edges = np.geomspace(f.min() * 0.999, f.max() * 1.001, bins + 1)
+    edges = np.geomspace(f.min() * 0.999, f.max() * 1.001, SPECTRUM_BINS + 1)
     bin_index = np.digitize(f, edges) - 1
-    count = np.bincount(bin_index, minlength=bins).astype(np.float64)
+    count = np.bincount(bin_index, minlength=SPECTRUM_BINS).astype(np.float64)
     occupied = count > 0
-    centre = np.exp(np.bincount(bin_index, np.log(f), bins)[occupied] / count[occupied])
+    centre = np.exp(np.bincount(bin_index, np.log(f), SPECTRUM_BINS)[occupied] / count[occupied])
 
     def bin_means(values: FloatArray) -> FloatArray:
-        sums = [np.bincount(bin_index, values[:, i], bins)[occupied] for i in range(3)]
+        sums = [np.bincount(bin_index, values[:, i], SPECTRUM_BINS)[occupied] for i in range(3)]
         return np.stack([axis_sums / count[occupied] for axis_sums in sums], axis=1)
 
     white_power = None

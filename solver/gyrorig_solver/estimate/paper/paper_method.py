@@ -118,12 +118,6 @@ class PaperResult:
         """True if eq. 6 to 10 gave every matrix; `failures` states whether they are right."""
         return self.M is not None
 
-    def corrected_rad(self) -> FloatArray | None:
-        """Return the angles after calibration, STM^-1 Y, shape (3, n); None without an inverse."""
-        if self.ST is None:
-            return None
-        return np.asarray(np.linalg.solve(self.STM, self.Y_rad))
-
 
 def calibrate_as_printed(
     time_s: FloatArray,

@@ -124,7 +124,6 @@ class SlowFit:
     log_likelihood: float  # nats
     residual: FloatArray  # (rows, 3)
     variance: FloatArray  # (rows, 3)
-    mean_residual: FloatArray  # (g, 3)
     degrees: FloatArray  # (3,), effective ones of the noise that limits the sizes
 
     @classmethod
@@ -233,8 +232,7 @@ def _summarize(
         evidence -= sum(0.5 * _prior_misfit(axis_levels) for axis_levels in noise.levels)
     return SlowFit(
         sizes, covariance, noise, run_std, evidence, likelihood,
-        rows - design.spectrum @ sizes[:-1], variance,
-        data.means - with_constant @ sizes, degrees,
+        rows - design.spectrum @ sizes[:-1], variance, degrees,
     )  # fmt: skip
 
 

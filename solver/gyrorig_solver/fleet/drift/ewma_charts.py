@@ -211,10 +211,7 @@ def detect_drift(charts: Sequence[DriftChart], groupings: Sequence[Grouping]) ->
 
 
 def shifted_groups(
-    chart: DriftChart,
-    groupings: Sequence[Grouping],
-    tests: int,
-    alpha: float = GROUP_FALSE_ALARM_RATE,
+    chart: DriftChart, groupings: Sequence[Grouping], tests: int
 ) -> tuple[list[GroupShift], DriftChart]:
     """Return the groups whose boards have shifted together, and the chart without these shifts.
 
@@ -229,12 +226,11 @@ def shifted_groups(
         chart: of one parameter.
         groupings: the smaller groups first: of two that explain the same, the first counts.
         tests: number of groups times parameters that are tested on this night.
-        alpha: false-alarm rate per night over all of them.
     """
     shift = chart.shift.copy()
     shifts: list[GroupShift] = []
     selected_groups: set[tuple[str, str]] = set()
-    limit = float(-special.ndtri(0.5 * alpha / max(tests, 1)))
+    limit = float(-special.ndtri(0.5 * GROUP_FALSE_ALARM_RATE / max(tests, 1)))
     while True:
         best: GroupShift | None = None
         members: BoolArray | None = None

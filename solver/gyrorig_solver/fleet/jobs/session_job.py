@@ -10,7 +10,6 @@ import traceback
 from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
-from datetime import UTC, datetime
 from functools import lru_cache, partial
 from pathlib import PurePosixPath
 
@@ -29,13 +28,13 @@ from gyrorig_solver.calibration import (
 from gyrorig_solver.calibration.calibration_builder import settings_sha256
 from gyrorig_solver.calibration.unit_document import UnitPosteriorDocument
 from gyrorig_solver.calibration.unit_store import UnitStore
+from gyrorig_solver.data.utc_time import utc_text_now
 from gyrorig_solver.fleet.jobs.resource_limits import DeadlineExceededError, deadline, memory_limit
 from gyrorig_solver.fleet.store import IndexRow
 from gyrorig_solver.fleet.store.index_rows import (
     MAX_TRACE_CHARS,
     WorkStatus,
     calibration_row,
-    index_time_text,
 )
 from gyrorig_solver.pipeline import (
     AUTO,
@@ -171,7 +170,7 @@ def failure_row(
     return IndexRow(
         key=job.key,
         status=status,
-        created=index_time_text(datetime.now(UTC)),
+        created=utc_text_now(),
         batch=job.batch,
         inputs=list(job.digests),
         names=[path.name for path in job.paths],

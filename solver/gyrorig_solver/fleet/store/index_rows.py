@@ -8,7 +8,6 @@ documents. The document remains authoritative.
 import hashlib
 import json
 from collections.abc import Iterable, Iterator, Sequence
-from datetime import datetime
 from typing import Literal
 
 import msgspec
@@ -176,8 +175,3 @@ def calibration_row(
 def midpoint(limits: list[float] | None) -> float | None:
     """Return the middle of a range, None without one."""
     return None if limits is None else (limits[0] + limits[1]) / 2
-
-
-def index_time_text(moment: datetime) -> str:
-    """Return a time as text, as in the index."""
-    return moment.strftime("%Y-%m-%dT%H:%M:%SZ")
