@@ -4,6 +4,7 @@ import json
 from dataclasses import replace
 from pathlib import Path
 
+import pytest
 import yaml
 from tests.support.simulated_service import Bench
 
@@ -30,6 +31,7 @@ def program_name(recording: Path) -> str:
     return str(yaml.safe_load(program)["name"])
 
 
+@pytest.mark.long
 def test_a_hidden_cause_gets_one_name(tmp_path: Path) -> None:
     bench = Bench(tmp_path, change=hide_cause)
     bench.waits_for_solver = True

@@ -5,6 +5,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
 import yaml
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -19,8 +20,14 @@ def _record(out: Path, program: str) -> Path:
     return next(out.glob("*.mcap"))
 
 
-def test_static_and_moving_make_one_version(tmp_path: Path, contracts: Path) -> None:
-    recordings = [_record(tmp_path / "m", "quick.yaml"), _record(tmp_path / "s", "static.yaml")]
+@pytest.fixture(scope="module")
+def quick(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A recording of the program `quick`, which no test changes."""
+    return _record(tmp_path_factory.mktemp("quick"), "quick.yaml")
+
+
+def test_static_and_moving_make_one_version(tmp_path: Path, quick: Path, contracts: Path) -> None:
+    recordings = [quick, _record(tmp_path / "s", "static.yaml")]
     command = [str(BIN / "gyrorig"), "solve", *map(str, recordings), "--out", str(tmp_path / "c")]
     process = subprocess.run([*command, "--json"], check=False, capture_output=True, text=True)
     assert process.returncode == 0, process.stderr
@@ -44,11 +51,10 @@ def test_static_and_moving_make_one_version(tmp_path: Path, contracts: Path) -> 
     assert checked.returncode == 0, checked.stdout + checked.stderr
 
 
-def test_one_recording_twice_is_refused(tmp_path: Path) -> None:
-    recording = _record(tmp_path / "m", "quick.yaml")
+def test_one_recording_twice_is_refused(tmp_path: Path, quick: Path) -> None:
     twin = tmp_path / "copy.mcap"
-    twin.write_bytes(recording.read_bytes())
-    command = [str(BIN / "gyrorig"), "solve", str(recording), str(twin), "--out", str(tmp_path)]
+    twin.write_bytes(quick.read_bytes())
+    command = [str(BIN / "gyrorig"), "solve", str(quick), str(twin), "--out", str(tmp_path)]
     process = subprocess.run(command, check=False, capture_output=True, text=True)
     assert process.returncode == 2
     assert "contain the same recording" in process.stderr

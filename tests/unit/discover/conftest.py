@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from tests.support.made_once import made_once, shared_folder
 
 from gyrorig_daemon.cli import run
 from gyrorig_protocol.recording.reader import read_recording
@@ -32,7 +33,11 @@ class HiddenRecording:
 
 @pytest.fixture(scope="module")
 def hidden(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., HiddenRecording]:
-    """Return a function that records a session with something hidden in it, once each."""
+    """Return a function that records a session with something hidden in it, once each.
+
+    The test files share the recordings: many of them use the same ones.
+    """
+    shared = shared_folder(tmp_path_factory)
     made: dict[tuple[str, ...], HiddenRecording] = {}
 
     def record(
@@ -40,15 +45,19 @@ def hidden(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., HiddenReco
     ) -> HiddenRecording:
         key = (*hide, str(seed), program, str(config))
         if key not in made:
-            folder = tmp_path_factory.mktemp("hidden")
+            path = ROOT / "config" / "programs" / f"{program}.yaml"
             orders = [word for text in hide for word in ("--hide", text)]
-            truth = folder / "truth.json"
-            run(
-                ["record", "--config", str(config), "--program",
-                 str(ROOT / "config" / "programs" / f"{program}.yaml"), "--out", str(folder),
-                 "--simulated-time", "--seed", str(seed), "--truth", str(truth), *orders]
-            )  # fmt: skip
-            document = json.loads(truth.read_text())
+
+            def make(out: Path) -> None:
+                run(
+                    ["record", "--config", str(config), "--program", str(path), "--out", str(out),
+                     "--simulated-time", "--seed", str(seed), "--truth", str(out / "truth.json"),
+                     *orders]
+                )  # fmt: skip
+
+            content = (config.read_bytes(), path.read_bytes(), str(seed), *hide)
+            folder = made_once(shared, ("hidden", *content), make)
+            document = json.loads((folder / "truth.json").read_text())
             hidden_causes = document.get("hidden") or {"causes": []}
             recording = read_recording(next(folder.glob("*.mcap")))
             made[key] = HiddenRecording(recording, hidden_causes["causes"], document["boards"])

@@ -27,8 +27,8 @@ class UserText(NamedTuple):
 
 def errors() -> Iterator[UserText]:
     """Yield every error of the tree that is made in the product."""
-    for path, tree in trees():
-        for node in ast.walk(tree):
+    for path, nodes in _nodes():
+        for node in nodes:
             if isinstance(node, ast.Call) and _name(node.func) in ERRORS and node.args:
                 remedy = rendered(node.args[1]) if len(node.args) > 1 else None
                 yield UserText(_place(path, node), _name(node.func), rendered(node.args[0]), remedy)
@@ -71,14 +71,14 @@ def _filled(text: str, local_texts: dict[str, str]) -> str:
 
 def texts() -> Iterator[UserText]:
     """Yield every string of more than a word that is no docstring."""
-    for path, tree in trees():
+    for path, nodes in _nodes():
         docstrings = {
             id(body[0].value)
-            for body in (getattr(node, "body", None) for node in ast.walk(tree))
+            for body in (getattr(node, "body", None) for node in nodes)
             if isinstance(body, list) and body and isinstance(body[0], ast.Expr)
         }
         inside: set[int] = set()
-        for node in ast.walk(tree):
+        for node in nodes:
             if id(node) in docstrings or id(node) in inside:
                 continue
             if isinstance(node, ast.JoinedStr):
@@ -99,6 +99,12 @@ def trees() -> tuple[tuple[str, ast.Module], ...]:
         for part in PARTS
         for path in sorted((ROOT / part).rglob("*.py"))
     )
+
+
+@cache
+def _nodes() -> tuple[tuple[str, tuple[ast.AST, ...]], ...]:
+    """Return the nodes of each module, breadth first."""
+    return tuple((path, tuple(ast.walk(tree))) for path, tree in trees())
 
 
 def rendered(node: ast.expr) -> str:

@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Iterator
+from functools import cache
 from typing import Any
 
 import click
@@ -61,11 +62,16 @@ OPTIONS = {name: _options(command) for name, command in COMMANDS.items()}
 for _word in ("record", "emulate"):
     OPTIONS[f"gyrorig {_word}"] |= OPTIONS[f"gyrorigd {_word}"]
 ALL = set().union(*OPTIONS.values())
-TEXTS = tuple(texts())
+
+
+@cache
+def _texts() -> tuple[UserText, ...]:
+    """Return the texts, which take seconds: no worker needs them to collect the tests."""
+    return tuple(texts())
 
 
 def test_texts_are_found() -> None:
-    assert len(TEXTS) > 1500
+    assert len(_texts()) > 1500
     assert len(list(errors())) > 450
     assert len(list(findings())) > 60
 
@@ -73,7 +79,7 @@ def test_texts_are_found() -> None:
 def test_options_in_messages_exist() -> None:
     wrong = {
         (text.place, option)
-        for text in TEXTS
+        for text in _texts()
         for option in _OPTION.findall(text.text)
         if option not in ALL | OTHERS
     }
@@ -82,7 +88,7 @@ def test_options_in_messages_exist() -> None:
 
 def test_commands_in_messages_exist_with_their_options() -> None:
     wrong = set()
-    for text in TEXTS:
+    for text in _texts():
         for program, command, below, rest in _COMMAND.findall(text.text):
             name = f"{program} {command}"
             if command in PROSE:
@@ -103,11 +109,11 @@ def test_commands_in_messages_exist_with_their_options() -> None:
 def test_files_and_targets_in_messages_exist() -> None:
     makefile = (ROOT / "Makefile").read_text(encoding="utf-8")
     wrong = {
-        (text.place, name) for text in TEXTS for name in _FILE.findall(text.text)
+        (text.place, name) for text in _texts() for name in _FILE.findall(text.text)
         if not (ROOT / name).exists()
     }  # fmt: skip
     wrong |= {
-        (text.place, target) for text in TEXTS for target in _TARGET.findall(text.text)
+        (text.place, target) for text in _texts() for target in _TARGET.findall(text.text)
         if not re.search(rf"^{target}:", makefile, re.MULTILINE)
     }  # fmt: skip
     assert not wrong
@@ -126,7 +132,7 @@ def _fields(kind: msgspec.inspect.Type) -> Iterator[msgspec.inspect.Field]:
 
 def test_rig_keys_in_messages_exist() -> None:
     wrong = set()
-    for text in TEXTS:
+    for text in _texts():
         for first, rest in _KEYS.findall(re.sub(r"{[^}]*}", "", text.text)):
             kind: Any = msgspec.inspect.type_info(RigConfig)
             for key in [first, *rest.split(": ")]:

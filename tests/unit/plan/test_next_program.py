@@ -1,6 +1,7 @@
 """The next experiment: a program that separates causes between which a search could not."""
 
 from dataclasses import replace
+from functools import cached_property
 from pathlib import Path
 
 import pytest
@@ -48,6 +49,11 @@ class AmbiguousRig:
         assert proposed is not None
         return proposed
 
+    @cached_property
+    def proposed(self) -> NextExperiment:
+        """The program of the usual duration."""
+        return self.propose()
+
     def record_second(self, proposed: NextExperiment) -> Recording:
         """Record the proposed program on the same rig, with other noise."""
         assert proposed.program is not None
@@ -67,7 +73,7 @@ def rig(tmp_path_factory: pytest.TempPathFactory) -> AmbiguousRig:
 def test_a_program_makes_a_set_one_name(rig: AmbiguousRig) -> None:
     (before,) = rig.explanation.findings.causes
     assert set(before.candidates) == {"scale_quadratic", "scale_asymmetry"}
-    proposed = rig.propose()
+    proposed = rig.proposed
     (outlook,) = proposed.outlooks
     assert set(outlook.causes) == set(before.candidates)
     assert outlook.nats > nats_for_sole_name(0.0)
@@ -78,7 +84,7 @@ def test_a_program_makes_a_set_one_name(rig: AmbiguousRig) -> None:
 
 
 def test_a_program_stays_within_time_and_limits(rig: AmbiguousRig) -> None:
-    proposed = rig.propose()
+    proposed = rig.proposed
     assert proposed.program is not None
     assert proposed.duration_s <= proposed.max_duration_s
     unit = recorded_unit(rig.recording.metadata["gyrorig.ptu"])
@@ -89,7 +95,7 @@ def test_a_program_stays_within_time_and_limits(rig: AmbiguousRig) -> None:
 
 
 def test_more_time_promises_more(rig: AmbiguousRig) -> None:
-    short, full = rig.propose(SHORT_S), rig.propose()
+    short, full = rig.propose(SHORT_S), rig.proposed
     assert short.duration_s <= SHORT_S
     assert short.outlooks[0].nats < full.outlooks[0].nats
     assert short.outlooks[0].probability < full.outlooks[0].probability
