@@ -55,8 +55,8 @@ def hidden(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., HiddenReco
                      *orders]
                 )  # fmt: skip
 
-            content = (config.read_bytes(), path.read_bytes(), str(seed), *hide)
-            folder = made_once(shared, ("hidden", *content), make)
+            content: list[str | bytes] = [config.read_bytes(), path.read_bytes(), str(seed), *hide]
+            folder = made_once(shared, ["hidden", *content], make)
             document = json.loads((folder / "truth.json").read_text())
             hidden_causes = document.get("hidden") or {"causes": []}
             recording = read_recording(next(folder.glob("*.mcap")))
