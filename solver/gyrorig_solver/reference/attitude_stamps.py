@@ -13,7 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from gyrorig_solver.data import BoolArray, FloatArray, IntArray
-from gyrorig_solver.data.clocks.latency_floor import find_latency_floor
+from gyrorig_solver.data.clocks.latency_floor import MAX_LINE_SPAN_S, find_latency_floor
+from gyrorig_solver.reference.least_delay import line_error
 
 # Stamps with less jitter, in frame periods, are times.
 MAX_EXACT_JITTER = 0.002
@@ -258,11 +259,14 @@ def _candidates(
     if is_late:
         sound = ~_is_too_early(delay_s, period_s)
         floor = find_latency_floor(frame_s[sound], delay_s[sound])
+        span_s = float(frame_s[-1] - frame_s[0])
         floor_s = floor.envelope.delay_at(frame_s)
-        mean_delay_s = float(np.mean(delay_s - floor_s))
+        error = line_error(delay_s[sound] - floor_s[sound], min(span_s, MAX_LINE_SPAN_S))
+        floor_s = floor_s - error.mean_s
         candidates = [FrameTimes("regular frames at the least delay", frame_s + floor_s)]
         shift_s = float(np.mean(floor_s - line_s))
-        offset_std_s = 2.0 * mean_delay_s / stamp_s.size + floor.wander_bound_s
+        wander_s = floor.wander_bound_s if span_s > MAX_LINE_SPAN_S else 0.0
+        offset_std_s = float(np.hypot(error.std_s, wander_s))
     else:
         candidates = [FrameTimes("regular frames", frame_s + line_s)]
         shift_s, offset_std_s = 0.0, jitter_s / np.sqrt(stamp_s.size)
