@@ -26,7 +26,7 @@ VARYING = re.compile(
 
 # Parts of strings and file names that differ between two runs.
 VARYING_PARTS = (
-    (re.compile(r"\d{8}T\d{6}Z-\d+-[0-9a-f]{6}-\d{4}"), "<journal>"),
+    (re.compile(r"\d{8}T\d{6}Z-\d+-[0-9a-f]{6}-(?:[0-9a-f]{12}|\d{4})"), "<journal>"),
     (re.compile(r"claims/[0-9a-f]{2}/[0-9a-f]{64}"), "claims/<digest>"),
     (re.compile(r"sha256([: ])[0-9a-f]{64}"), r"sha256\1<digest>"),
     (re.compile(r"SHA-256 is [0-9a-f]{64}"), "SHA-256 is <digest>"),
