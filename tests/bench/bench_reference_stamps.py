@@ -107,9 +107,10 @@ def errors_in_sd(session: SimulatedAttitudes) -> FloatArray:
     )
 
 
-def study_line(case: StudyCase, runs: int, state: dict[str, list[float] | str]) -> str:
+def study_line(case: StudyCase, seeds: range, state: dict[str, list[float] | str]) -> str:
     """Run what the state lacks of a case, and return its line of the table."""
-    for seed in range(runs):
+    runs = len(seeds)
+    for seed in seeds:
         key = f"{case.name} #{seed}"
         if key not in state:
             session = simulate_attitudes(seed, case.settings, camera_hz=case.camera_hz)
@@ -117,7 +118,7 @@ def study_line(case: StudyCase, runs: int, state: dict[str, list[float] | str]) 
                 state[key] = errors_in_sd(session).tolist()
             except GyrorigError as fault:
                 state[key] = str(fault)
-    outcomes = [state[f"{case.name} #{seed}"] for seed in range(runs)]
+    outcomes = [state[f"{case.name} #{seed}"] for seed in seeds]
     solved = [outcome for outcome in outcomes if not isinstance(outcome, str)]
     reasons = {outcome for outcome in outcomes if isinstance(outcome, str)}
     line = f"| {case.name} | {runs} | {runs - len(solved)} "
@@ -135,6 +136,7 @@ def main() -> int:
     """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n", maxsplit=1)[0])
     parser.add_argument("--runs", type=int, default=50, help="sessions of each case")
+    parser.add_argument("--first-seed", type=int, default=0, help="of the sessions of each case")
     parser.add_argument("--state", type=Path, help="keeps the results of each session")
     parser.add_argument("--case", default="", help="only cases whose name holds these words")
     parser.add_argument("--defects", action="store_true", help="other defects than jitter")
@@ -142,10 +144,11 @@ def main() -> int:
     state = {}
     if given.state is not None and given.state.exists():
         state = json.loads(given.state.read_text(encoding="utf-8"))
+    seeds = range(given.first_seed, given.first_seed + given.runs)
     print(HEADER)  # noqa: T201
     for case in defect_cases() if given.defects else study_cases():
         if given.case in case.name:
-            print(study_line(case, given.runs, state), flush=True)  # noqa: T201
+            print(study_line(case, seeds, state), flush=True)  # noqa: T201
             if given.state is not None:
                 given.state.write_text(json.dumps(state), encoding="utf-8")
     return 0
