@@ -60,8 +60,8 @@ def help_of(program: str, *command: str) -> str:
 
 
 def _is_passed_on(command: str) -> bool:
-    found = gyrorig_cli.cli.get_command(click.Context(gyrorig_cli.cli), command)
-    module = getattr(found and found.callback, "__module__", "")
+    click_command = gyrorig_cli.cli.get_command(click.Context(gyrorig_cli.cli), command)
+    module = getattr(click_command and click_command.callback, "__module__", "")
     return module.endswith(".daemon_commands")
 
 

@@ -12,6 +12,8 @@ import threading
 from collections.abc import Iterator
 
 HARD_DEADLINE_FACTOR = 1.5  # when the process is ended, relative to the deadline
+REPEAT_SHARE = 0.25  # of the deadline, between two alarms
+MIN_REPEAT_S = 0.1  # long enough to leave the block
 
 
 class DeadlineExceededError(Exception):
@@ -61,7 +63,9 @@ def _alarm(deadline_s: float) -> Iterator[None]:
         raise DeadlineExceededError
 
     previous = signal.signal(signal.SIGALRM, too_long)
-    signal.setitimer(signal.ITIMER_REAL, deadline_s)
+    # Python drops an exception that is raised in a callback of the garbage collector, so that one
+    # alarm can be lost.
+    signal.setitimer(signal.ITIMER_REAL, deadline_s, max(REPEAT_SHARE * deadline_s, MIN_REPEAT_S))
     try:
         yield
     finally:
