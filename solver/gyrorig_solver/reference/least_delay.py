@@ -5,7 +5,7 @@ How much depends on how many delays are near the least one. Their distribution t
 power law, P(delay < x) = (x / scale)^exponent / n. The exponent is 1 for exponential and
 half-normal delays, and 2 where a delay is the sum of two of these. With a larger exponent, the
 least value is not sharp, and the uncertainty is that of the first hundredth of the delays. The
-factors are from simulations of exponential, half-normal, uniform, gamma and log-normal delays
+factors are from simulations of exponential, half-normal, uniform and gamma delays
 (`test_least_delay`).
 """
 
@@ -15,16 +15,16 @@ from dataclasses import dataclass
 import numpy as np
 
 from gyrorig_solver.data import FloatArray
+from gyrorig_solver.data.clocks.latency_floor import WALK_PER_SQRT_S
 
 NEAR_SHARE, FAR_SHARE = 0.01, 0.1  # of the delays, between which the power law is estimated
-MIN_NEAR = 10  # delays
+MIN_NEAR = 40  # delays
 MIN_EXPONENT = 0.5
 MAX_EXPONENT = 1.5  # above it, the delays have no sharp least value
 UNSHARP_SHARE = 1.0  # of the first hundredth of the delays is then the standard deviation
 MEAN_FACTOR = 1.95  # mean error = factor scale
 STD_FACTOR, STD_POWER = 1.45, 0.9  # its standard deviation = factor scale / exponent^power
 SCALE_STD_FACTOR = 0.8  # relative: factor log(near) / sqrt(near exponent)
-CRYSTAL_WALK_PER_SQRT_S = 1e-8  # of a crystal's rate (docs/clocks.md)
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,7 +42,7 @@ def line_error(excess_s: FloatArray, span_s: float) -> LineError:
         excess_s: delays above the line, (n,).
         span_s: length of the recording, in which the clock wanders off a line.
     """
-    wander_s = CRYSTAL_WALK_PER_SQRT_S * span_s**1.5 / math.sqrt(120.0)
+    wander_s = WALK_PER_SQRT_S * span_s**1.5 / math.sqrt(120.0)
     ordered_s = np.sort(excess_s[excess_s > 0.0])
     near = max(MIN_NEAR, round(NEAR_SHARE * ordered_s.size))
     far = round(FAR_SHARE * ordered_s.size)
