@@ -170,7 +170,19 @@ def _is_not_whole_count(objective: CandidateObjective, value: FloatArray, std: F
 def locate_event(objective: CandidateObjective, values: FloatArray) -> FloatArray:
     """Return values at the best event time near the given one, with one-step sizes."""
     step_s = (objective.context.end_s - objective.context.begin_s) / 60.0
-    return _locate(objective, values, objective.events[0], step_s)
+    event = objective.events[0]
+    best, statistic = values, -1.0
+    for _ in range(REFINEMENTS):
+        middle_s = float(best[event])
+        for shift in np.arange(-STEPS_PER_SIDE, STEPS_PER_SIDE + 1) / STEPS_PER_SIDE:
+            trial = values.copy()
+            trial[event] = middle_s + shift * step_s
+            test = objective.score_test(trial)
+            if test.statistic > statistic:
+                statistic = test.statistic
+                best = objective.with_one_step_sizes(trial, test)
+        step_s /= STEPS_PER_SIDE
+    return best
 
 
 def locate_shapes(objective: CandidateObjective, values: FloatArray) -> FloatArray:
@@ -181,8 +193,9 @@ def locate_shapes(objective: CandidateObjective, values: FloatArray) -> FloatArr
     """
     (period,), event = objective.shapes, objective.events[0]
     context = objective.context
-    before = np.floor((float(values[event]) - context.begin_s) / values[period])
-    after = max(np.floor((context.end_s - float(values[event])) / values[period]), 1.0 - before)
+    events_before = np.floor((float(values[event]) - context.begin_s) / values[period])
+    events_after = np.floor((context.end_s - float(values[event])) / values[period])
+    periods = max(events_before + events_after, 1.0)  # from the first event to the last
     best, statistic = values, -1.0
     span_s, steps = SHAPE_SHARE * float(values[period]), FIRST_STEPS_PER_SIDE
     for _ in range(REFINEMENTS):
@@ -190,31 +203,13 @@ def locate_shapes(objective: CandidateObjective, values: FloatArray) -> FloatArr
         shifts_s = span_s * np.arange(-steps, steps + 1) / steps
         for first_s, last_s in product(shifts_s, shifts_s):
             trial = middle.copy()
-            trial[event] += (after * first_s + before * last_s) / (before + after)
-            trial[period] += (last_s - first_s) / (before + after)
+            trial[event] += first_s + (last_s - first_s) * events_before / periods
+            trial[period] += (last_s - first_s) / periods
             test = objective.score_test(trial)
             if test.statistic > statistic:
                 statistic = test.statistic
                 best = objective.with_one_step_sizes(trial, test)
         span_s, steps = span_s / steps, STEPS_PER_SIDE
-    return best
-
-
-def _locate(
-    objective: CandidateObjective, values: FloatArray, index: int, step: float
-) -> FloatArray:
-    """Return values with the best value of one parameter near the given one."""
-    best, statistic = values, -1.0
-    for _ in range(REFINEMENTS):
-        middle = float(best[index])
-        for shift in np.arange(-STEPS_PER_SIDE, STEPS_PER_SIDE + 1) / STEPS_PER_SIDE:
-            trial = values.copy()
-            trial[index] = middle + shift * step
-            test = objective.score_test(trial)
-            if test.statistic > statistic:
-                statistic = test.statistic
-                best = objective.with_one_step_sizes(trial, test)
-        step /= STEPS_PER_SIDE
     return best
 
 
