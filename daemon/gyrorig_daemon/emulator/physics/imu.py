@@ -213,7 +213,9 @@ class ImuModel:
                 state = state + self._settled_state(now, ready_s)
                 state = state - self._settled_state(line, ready_s)
             motion_s = ready_s - truth.tau_s - now.at(ready_s)
-            motion = self._stage.motion(motion_s, now.length_s(self._dt_s), n * self._substeps)
+            motion = self._stage.motion(
+                motion_s, now.motion_duration_s(self._dt_s), n * self._substeps
+            )
             inputs = self._sensor_rate(motion, ready_s) + self._noise
             outputs, end_state = self._filter.run(state, inputs, self._jitter_substeps)
             output[first:] = outputs[first:]
@@ -253,7 +255,7 @@ class ImuModel:
         Only the motion counts, during one block: the difference between two lags is what is used.
         """
         count = self._samples * self._substeps
-        dt_s = line.length_s(self._dt_s)
+        dt_s = line.motion_duration_s(self._dt_s)
         begin_s = ready_s - self.truth.tau_s - line.at(ready_s) - count * dt_s
         rates = self._stage.motion(begin_s, dt_s, count).body_rate_rad_s @ self.truth.gain.T
         at_first_rate = np.array([rates[0], np.zeros(3)])

@@ -32,8 +32,8 @@ class LagLine:
         """Return the lag at a time."""
         return self.lag_s + self.growth * (time_s - self.time_s)
 
-    def length_s(self, duration_s: float) -> float:
-        """Return the motion's time during some time of the clock."""
+    def motion_duration_s(self, duration_s: float) -> float:
+        """Return how long the motion is that the samples show in some time."""
         return duration_s * (1.0 - self.growth)
 
     def continues(self, other: "LagLine", time_s: float) -> bool:
