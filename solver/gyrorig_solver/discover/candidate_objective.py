@@ -9,13 +9,14 @@ values, `score_test` for the best sizes to first order.
 Source: Levenberg-Marquardt with the scaling of More (1978).
 """
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
 from gyrorig_solver.data import BoolArray, FloatArray, IntArray
-from gyrorig_solver.discover.score_tests import ScoreTest
+from gyrorig_solver.discover.score_tests import ScoreTest, score_batches
 from gyrorig_solver.estimate import NuisanceProjector, WhitenedSignals
 from gyrorig_solver.model import (
     RecordingContext,
@@ -107,6 +108,15 @@ class CandidateObjective:
         )
         return ScoreTest.of(self.projector.score_statistics(whitened))
 
+    def score_trials(self, trials: Sequence[FloatArray]) -> Iterator[ScoreTest]:
+        """Yield the score test of each of some values; faster than one by one."""
+        all_sizes = value_indices(self.term, role="size")
+        positions = np.array([all_sizes.index(k) for k in self.sizes])
+        for batch, statistics in score_batches(self.projector, self.term, np.array(trials)):
+            count = statistics.score.size // len(batch)
+            for k in range(len(batch)):
+                yield ScoreTest.of(statistics.subset(k * count + positions))
+
     def with_one_step_sizes(self, values: FloatArray, test: ScoreTest) -> FloatArray:
         """Return values with the best sizes to first order."""
         estimated = values.copy()
@@ -136,9 +146,15 @@ class CandidateObjective:
         )
 
     def minimize(self, values: FloatArray, free: IntArray | None = None) -> LocalExpansion:
-        """Return the optimum near some values; `free`: by default the sizes and shapes."""
+        """Return the optimum near some values; `free`: by default the sizes and shapes.
+
+        Sizes that are no better than no effect are replaced by the best ones to first order.
+        """
         free = self.free if free is None else free
         current = self.expand(values, free)
+        if current.cost >= 0.0:
+            one_step = self.with_one_step_sizes(values, self.score_test(values))
+            current = min(current, self.expand(one_step, free), key=lambda state: state.cost)
         damping, rejected = FIRST_DAMPING, False
         for _ in range(self.max_iterations):
             step, predicted_gain = self.step_from(current, free, damping)

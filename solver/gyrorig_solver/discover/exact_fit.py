@@ -89,12 +89,10 @@ def _fit_from(
         values = locate_shapes(objective, values)
     elif objective.events:
         values = locate_event(objective, values)
-    elif not values[objective.sizes].any():
-        values = objective.with_one_step_sizes(values, objective.score_test(values))
     fitted = objective.minimize(values)
     if not objective.events:
         return fitted, fitted
-    if search_event:
+    if search_event and not objective.term.holds_shapes:  # their search sees the exact effect
         fitted = search_event_nearby(objective, fitted)
     with_event = np.concatenate([objective.free, np.array(objective.events, dtype=np.int64)])
     event_free = objective.minimize(fitted.values, with_event)
@@ -173,14 +171,9 @@ def locate_event(objective: CandidateObjective, values: FloatArray) -> FloatArra
     event = objective.events[0]
     best, statistic = values, -1.0
     for _ in range(REFINEMENTS):
-        middle_s = float(best[event])
-        for shift in np.arange(-STEPS_PER_SIDE, STEPS_PER_SIDE + 1) / STEPS_PER_SIDE:
-            trial = values.copy()
-            trial[event] = middle_s + shift * step_s
-            test = objective.score_test(trial)
-            if test.statistic > statistic:
-                statistic = test.statistic
-                best = objective.with_one_step_sizes(trial, test)
+        shifts_s = step_s * np.arange(-STEPS_PER_SIDE, STEPS_PER_SIDE + 1) / STEPS_PER_SIDE
+        trials = [_with_value(values, event, float(best[event]) + s) for s in shifts_s]
+        best, statistic = _best_trial(objective, trials, best, statistic)
         step_s /= STEPS_PER_SIDE
     return best
 
@@ -199,18 +192,32 @@ def locate_shapes(objective: CandidateObjective, values: FloatArray) -> FloatArr
     best, statistic = values, -1.0
     span_s, steps = SHAPE_SHARE * float(values[period]), FIRST_STEPS_PER_SIDE
     for _ in range(REFINEMENTS):
-        middle = best
         shifts_s = span_s * np.arange(-steps, steps + 1) / steps
+        trials = []
         for first_s, last_s in product(shifts_s, shifts_s):
-            trial = middle.copy()
+            trial = best.copy()
             trial[event] += first_s + (last_s - first_s) * events_before / periods
             trial[period] += (last_s - first_s) / periods
-            test = objective.score_test(trial)
-            if test.statistic > statistic:
-                statistic = test.statistic
-                best = objective.with_one_step_sizes(trial, test)
+            trials.append(trial)
+        best, statistic = _best_trial(objective, trials, best, statistic)
         span_s, steps = span_s / steps, STEPS_PER_SIDE
     return best
+
+
+def _best_trial(
+    objective: CandidateObjective, trials: Sequence[FloatArray], best: FloatArray, statistic: float
+) -> tuple[FloatArray, float]:
+    """Return the values with the greatest statistic, with one-step sizes, and the statistic."""
+    for trial, test in zip(trials, objective.score_trials(trials), strict=True):
+        if test.statistic > statistic:
+            statistic, best = test.statistic, objective.with_one_step_sizes(trial, test)
+    return best, statistic
+
+
+def _with_value(values: FloatArray, index: int, value: float) -> FloatArray:
+    changed = values.copy()
+    changed[index] = value
+    return changed
 
 
 def search_event_nearby(objective: CandidateObjective, expansion: LocalExpansion) -> LocalExpansion:
@@ -246,11 +253,8 @@ def event_std(objective: CandidateObjective, expansion: LocalExpansion) -> float
     distances_s = np.geomspace(0.5 * SMOOTH_STD_S, context.end_s - context.begin_s, GRID_PER_SIDE)
     times = event_s + np.concatenate([-distances_s[::-1], [0.0], distances_s])
     times = times[(times >= context.begin_s) & (times <= context.end_s)]
-    statistics = []
-    for time_s in times:
-        trial = expansion.values.copy()
-        trial[event] = time_s
-        statistics.append(objective.score_test(trial).statistic)
+    trials = [_with_value(expansion.values, event, time_s) for time_s in times]
+    statistics = [test.statistic for test in objective.score_trials(trials)]
     weight = np.exp(0.5 * (np.array(statistics) - max(statistics))) * np.gradient(times)
     return float(np.sqrt(np.sum(weight * (times - event_s) ** 2) / np.sum(weight)))
 

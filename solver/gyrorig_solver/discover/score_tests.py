@@ -200,7 +200,7 @@ def _scan_term(
         and len(templates) * test_places[0].positions.size <= MAX_JOINT_SIGNALS
     )
     effective_trials = float(max(scanned, 1))
-    for batch, statistics in _score_batches(projection, term, templates, count_trials):
+    for batch, statistics in score_batches(projection, term, templates, count_trials):
         size = statistics.score.size // len(batch)
         if count_trials:
             effective_trials = _count_effective_trials(statistics.information, size)
@@ -274,8 +274,8 @@ def _test_within_range(statistics: ScoreStatistics, lower: FloatArray) -> tuple[
     return chi2_upper_tail(test.statistic, test.degrees_of_freedom), test
 
 
-def _score_batches(
-    projection: NuisanceProjector, term: Term, templates: FloatArray, at_once: bool
+def score_batches(
+    projection: NuisanceProjector, term: Term, templates: FloatArray, at_once: bool = False
 ) -> Iterator[tuple[list[FloatArray], ScoreStatistics]]:
     """Yield templates with their score statistics, several at a time for speed.
 

@@ -28,6 +28,7 @@ from gyrorig_solver.model.drive_effects import second_derivative
 from gyrorig_solver.model.hermite_interpolation import HermiteInterpolator
 from gyrorig_solver.model.low_pass import LowPass
 from gyrorig_solver.model.recording_context import RecordingContext
+from gyrorig_solver.model.sampled_output import SampledOutput
 from gyrorig_solver.model.signal_arrays import axis_rows, is_on_all_axes
 from gyrorig_solver.reference import StageRateJacobian
 
@@ -269,32 +270,13 @@ class SignalState:
         late = self.sample_times_s + delay_s
         return HermiteInterpolator.of(self.time_s, late).sparse_operator(self.step_s)
 
-    def output_at_delay(self, delay_s: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the sensor's output at delayed instants, and its time derivative.
-
-        Args:
-            delay_s: shape (instants,), in addition to the delay of this state.
-
-        Returns:
-            G omega behind the low-pass and its time derivative, (instants, 3) each, by cubic
-            Hermite interpolation; constant beyond the ends.
-        """
-        if not delay_s.any():
-            return self.sampled_output
-        total_delay = delay_s if self.sampling_delay_s is None else delay_s + self.sampling_delay_s
-        return self._interpolated_output(total_delay)
-
-    def _interpolated_output(self, total_delay: FloatArray) -> tuple[FloatArray, FloatArray]:
-        interpolator = HermiteInterpolator.of(self.time_s, self.sample_times_s + total_delay)
-        return interpolator.interpolate(self.filtered_rad_s, self.filtered_slope_rad_s2)
-
     @cached_property
-    def sampled_output(self) -> tuple[FloatArray, FloatArray]:
-        """The sensor's output at its instants and its time derivative, (instants, 3) each."""
-        return self._interpolated_output(
-            np.zeros(self.used_instants.size)
-            if self.sampling_delay_s is None
-            else self.sampling_delay_s
+    def sampled_output(self) -> SampledOutput:
+        """The sensor's output, G omega behind the low-pass, at its instants."""
+        own_s = 0.0 if self.sampling_delay_s is None else self.sampling_delay_s
+        instants_s = self.sample_times_s + own_s
+        return SampledOutput(
+            self.time_s, self.filtered_rad_s, self.filtered_slope_rad_s2, instants_s
         )
 
     def measure_sensor_rate(self, sensor_rate: FloatArray) -> FloatArray:

@@ -156,13 +156,13 @@ class TimeTerm(NonlinearTerm):
 
     def effect(self, state: SignalState, values: FloatArray) -> FloatArray:
         """Return the change of the measured rate, (blocks, 3)."""
-        value, _ = state.output_at_delay(self.sampling_delay(state, values))
-        return state.block_means(value - state.sampled_output[0])
+        delayed = state.sampled_output.at_delay(self.sampling_delay(state, values))
+        return state.block_means(delayed - state.sampled_output.undelayed)
 
     def jacobian(self, state: SignalState, values: FloatArray) -> FloatArray:
         """Return the time derivative of the signal times that of the delay, (k, blocks, 3)."""
         jacobian = zero_signals(values.size, state.block_count)
-        _, slope = state.output_at_delay(self.sampling_delay(state, values))
+        slope = state.sampled_output.slope_at_delay(self.sampling_delay(state, values))
         analytic = self.delay_derivatives(state, values)
         for k in range(values.size):
             if k in analytic:

@@ -102,7 +102,9 @@ def test_propagated_signal_contains_the_effect(cause: str, rig: Any) -> None:
         return
     passed = strong.term.propagate(rig.scene, strong.values)
     zero = np.zeros(rig.scene.used_instants.size)
-    shown = [scene.block_means(scene.output_at_delay(zero)[0]) for scene in (passed, rig.scene)]
+    shown = [
+        scene.block_means(scene.sampled_output.at_delay(zero)) for scene in (passed, rig.scene)
+    ]
     effect = strong.term.effect(rig.scene, strong.values)
     assert norm(shown[0] - shown[1] - effect) < 1e-3 * max(norm(effect), 1e-9)
 

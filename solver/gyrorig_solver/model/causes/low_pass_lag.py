@@ -49,7 +49,9 @@ class LowPassLag(NonlinearTerm):
         changed_state = self.propagate(state, values)
         if changed_state is state:
             return np.zeros((state.block_count, 3))
-        return state.block_means(changed_state.sampled_output[0] - state.sampled_output[0])
+        return state.block_means(
+            changed_state.sampled_output.undelayed - state.sampled_output.undelayed
+        )
 
     def propagate(self, state: SignalState, values: FloatArray) -> SignalState:
         """Return the signal behind the other filter, without its additional delay."""

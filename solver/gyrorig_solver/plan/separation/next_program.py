@@ -7,7 +7,7 @@ probability or the time is used up. The chosen program is then judged as a whole
 Source: T-optimal design; Atkinson and Fedorov, Biometrika 62 (1975) 57.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import reduce
 from operator import add
@@ -55,6 +55,7 @@ MIN_PROBABILITY = 0.05  # of the best pair; a program that promises less is not 
 MIN_ADDED_NATS = 0.1  # by a block
 USABLE_RANGE_SHARE = 0.9  # of the full scale of the gyroscope
 ACCELERATION_SHARES = (1.0, 0.5)  # of that of the recording
+BLOCKS_TRIED_AGAIN = 12  # at the second acceleration, beside those that are chosen at the first
 DEFAULT_FULL_SCALE_DEG_S = 250.0
 
 
@@ -118,9 +119,10 @@ def propose_program(
     if not groups:
         return NextExperiment(None, 0.0, max_duration_s, hidden) if hidden else None
     design = _Design(solution, unit, groups, max_duration_s)
-    choices = [design.choose(ACCELERATION_SHARES[0])]
+    choices = [design.choose(ACCELERATION_SHARES[0], motion_blocks(design.space))]
     if choices[0].is_lacking:
-        choices += [design.choose(share) for share in ACCELERATION_SHARES[1:]]
+        blocks = choices[0].most_useful
+        choices += [design.choose(share, blocks) for share in ACCELERATION_SHARES[1:]]
     best = max(choices, key=lambda choice: round(choice.worth_nats, 1))
     proposed = design.judge(best)
     return replace(proposed, outlooks=(*proposed.outlooks, *hidden))
@@ -148,6 +150,7 @@ class _Choice:
     settings: PtuSettings
     worth_nats: float  # of all pairs, of each as much as a decision needs
     is_lacking: bool  # whether a pair needs more
+    most_useful: tuple[MotionBlock, ...]  # of all blocks, each alone; the chosen ones first
 
 
 class _Design:
@@ -165,17 +168,15 @@ class _Design:
         self._pairs = [pair for group in groups for pair in group]
         self._test_count = count_tests(tuple(catalogue().values()))
         self._first_order = [FirstOrder(pair, solution) for pair in self._pairs]
-        self._space = MotionSpace.of(unit, _fastest_deg_s(solution))
+        self.space = MotionSpace.of(unit, _fastest_deg_s(solution))
 
-    def choose(self, acceleration_share: float) -> _Choice:
+    def choose(self, acceleration_share: float, blocks: Iterable[MotionBlock]) -> _Choice:
         """Choose blocks at an acceleration, one after the other, by what they add per second."""
         settings = self._settings(acceleration_share)
         empty = program_of_blocks((), settings, PROGRAM_NAME)
         fixed_s = simulate_program(empty, self._unit).duration_s
         alone_s = fixed_s - 2.0 * (STATIC_S - BLOCK_STATIC_S)
-        candidates = [
-            self._candidate(block, settings, alone_s) for block in motion_blocks(self._space)
-        ]
+        candidates = [self._candidate(block, settings, alone_s) for block in blocks]
         chosen: list[_Candidate] = []
         left_s, worth = self._max_duration_s - fixed_s, self._worth(())
         while True:
@@ -189,9 +190,16 @@ class _Design:
                 break
             chosen.append(best)
             left_s, worth = left_s - best.duration_s, worth + added
-        blocks = tuple(candidate.block for candidate in chosen)
+        chosen_blocks = tuple(candidate.block for candidate in chosen)
         is_lacking = any(nats < needed for nats, needed in self._nats_and_needs(chosen))
-        return _Choice(blocks, settings, worth, is_lacking)
+        rest = sorted(
+            (candidate for candidate in candidates if candidate.block not in chosen_blocks),
+            key=lambda candidate: -self._worth([candidate]) / candidate.duration_s,
+        )
+        useful = dict.fromkeys(
+            [*chosen_blocks, *(candidate.block for candidate in rest[:BLOCKS_TRIED_AGAIN])]
+        )
+        return _Choice(chosen_blocks, settings, worth, is_lacking, tuple(useful))
 
     def judge(self, choice: _Choice) -> NextExperiment:
         """Return the program of a choice with its exact outlook."""
@@ -258,7 +266,7 @@ class _Design:
         return PtuSettings(
             base_speed_deg_s=round(base_speed, 3) if base_speed > 0.0 else None,
             acceleration_deg_s2=round(acceleration, 3),
-            default_speed_deg_s=self._space.pan_speed_deg_s,
+            default_speed_deg_s=self.space.pan_speed_deg_s,
         )
 
 
