@@ -110,21 +110,25 @@ def predict_derivatives(
         block_count * intervals_per_block,
         int(np.ceil(2.0 * (NOISE_MEMORY_S + FILTER_MEMORY_S) * rate_hz)),
     )
-    time_derivative = _time_derivative(reference, edges).T[None]
-    global_parts = [time_derivative, evaluated.shared.transpose(0, 2, 1)]
-    if evaluated.law.size:
-        global_parts.append(evaluated.law.transpose(0, 2, 1))
-    global_signals = np.concatenate(global_parts)
+    shared, law = evaluated.shared, evaluated.law
+    del evaluated  # the columns are packed: both together need the most memory of a solve
     coarse_low_pass = None if low_pass is None else LowPass(low_pass.bandwidth_hz, rate_hz)
-    global_signals, local_signals = (
-        _to_blocks(signals, coarse_low_pass, intervals_per_block, series.samples_per_block)
-        for signals in (global_signals, packed.values)
-    )
+
+    def to_blocks(signals: FloatArray) -> FloatArray:
+        return _to_blocks(signals, coarse_low_pass, intervals_per_block, series.samples_per_block)
+
+    def each_to_blocks(signals: FloatArray) -> FloatArray:
+        blocks = np.empty((len(signals), 3, block_count))
+        for block, signal in zip(blocks, signals, strict=True):
+            block[...] = to_blocks(signal.T)
+        return blocks
+
+    local_signals = to_blocks(packed.values)
     reach_blocks = int(np.ceil(NOISE_MEMORY_S * block_hz))
     return PartDerivatives(
-        time_derivative=global_signals[0],
-        shared=global_signals[1 : 1 + len(evaluated.shared)],
-        law=global_signals[1 + len(evaluated.shared) :],
+        time_derivative=to_blocks(_time_derivative(reference, edges).T),
+        shared=each_to_blocks(shared),
+        law=each_to_blocks(law),
         packed=packed.resample(local_signals, intervals_per_block, reach_blocks),
     )
 
