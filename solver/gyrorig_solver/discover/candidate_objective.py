@@ -145,16 +145,24 @@ class CandidateObjective:
             statistics.absorbed[count],
         )
 
-    def minimize(self, values: FloatArray, free: IntArray | None = None) -> LocalExpansion:
-        """Return the optimum near some values; `free`: by default the sizes and shapes.
+    def useful_start(self, values: FloatArray) -> LocalExpansion:
+        """Return the objective at some values, or with the best sizes to first order.
 
-        Sizes that are no better than no effect are replaced by the best ones to first order.
+        Sizes that are no better than no effect are replaced. `values`: as of a template.
         """
+        start = self.expand(values, self.free)
+        if start.cost < 0.0:
+            return start
+        one_step = self.with_one_step_sizes(values, self.score_test(values))
+        return min(start, self.expand(one_step, self.free), key=lambda state: state.cost)
+
+    def minimize(self, values: FloatArray, free: IntArray | None = None) -> LocalExpansion:
+        """Return the optimum near some values; `free`: by default the sizes and shapes."""
         free = self.free if free is None else free
-        current = self.expand(values, free)
-        if current.cost >= 0.0:
-            one_step = self.with_one_step_sizes(values, self.score_test(values))
-            current = min(current, self.expand(one_step, free), key=lambda state: state.cost)
+        return self.minimize_from(self.expand(values, free), free)
+
+    def minimize_from(self, current: LocalExpansion, free: IntArray) -> LocalExpansion:
+        """Return the optimum near a start."""
         damping, rejected = FIRST_DAMPING, False
         for _ in range(self.max_iterations):
             step, predicted_gain = self.step_from(current, free, damping)

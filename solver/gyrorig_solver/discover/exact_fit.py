@@ -89,7 +89,7 @@ def _fit_from(
         values = locate_shapes(objective, values)
     elif objective.events:
         values = locate_event(objective, values)
-    fitted = objective.minimize(values)
+    fitted = objective.minimize_from(objective.useful_start(values), objective.free)
     if not objective.events:
         return fitted, fitted
     if search_event and not objective.term.holds_shapes:  # their search sees the exact effect
@@ -245,9 +245,9 @@ def event_std(objective: CandidateObjective, expansion: LocalExpansion) -> float
     Where the likelihood is no smooth hill (a small step in noise, a stamp that jumps while
     all is at rest) it is the scatter of the times about, each by its likelihood.
     """
-    variance = float(np.linalg.pinv(expansion.curvature, hermitian=True)[-1, -1])
-    if expansion.curvature[-1, -1] > 0.0 and 0.0 < variance < SMOOTH_STD_S**2:
-        return float(np.sqrt(variance))
+    information = _information_of_last(expansion.curvature)
+    if information > SMOOTH_STD_S**-2.0:
+        return float(information**-0.5)
     context, event = objective.context, objective.events[0]
     event_s = float(expansion.values[event])
     distances_s = np.geomspace(0.5 * SMOOTH_STD_S, context.end_s - context.begin_s, GRID_PER_SIDE)
@@ -257,6 +257,16 @@ def event_std(objective: CandidateObjective, expansion: LocalExpansion) -> float
     statistics = [test.statistic for test in objective.score_trials(trials)]
     weight = np.exp(0.5 * (np.array(statistics) - max(statistics))) * np.gradient(times)
     return float(np.sqrt(np.sum(weight * (times - event_s) ** 2) / np.sum(weight)))
+
+
+def _information_of_last(curvature: FloatArray) -> float:
+    """Return the information of the last value with the other values free.
+
+    It is the Schur complement. A pseudo-inverse would call a value without information certain.
+    """
+    others, cross = curvature[:-1, :-1], curvature[:-1, -1]
+    eliminated = cross @ np.linalg.pinv(others, hermitian=True) @ cross
+    return float(curvature[-1, -1] - eliminated)
 
 
 def event_occam_nats(objective: CandidateObjective, std_s: float) -> float:

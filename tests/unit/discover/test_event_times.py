@@ -1,6 +1,7 @@
 """How well the time of something that happened once is known."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -8,7 +9,8 @@ import pytest
 from tests.support.board_fits import fit_base_model
 
 from gyrorig_solver.discover.candidate_fits import fit_best_place
-from gyrorig_solver.discover.exact_fit import FittedCandidate
+from gyrorig_solver.discover.candidate_objective import CandidateObjective
+from gyrorig_solver.discover.exact_fit import FittedCandidate, event_std, fit_candidate
 from gyrorig_solver.discover.score_tests import scan_catalogue
 from gyrorig_solver.discover.template_choice import all_templates
 from gyrorig_solver.estimate import NuisanceProjector
@@ -54,6 +56,19 @@ def test_a_smaller_step_is_timed_worse(weighed: Callable[[str], FittedCandidate]
     assert large.event_std is not None
     assert small.event_std is not None
     assert large.event_std < small.event_std
+
+
+def test_a_time_without_information_is_not_known(hidden: Callable[..., Any]) -> None:
+    """A pseudo-inverse sets a tiny information to zero, and its inverse too."""
+    session = hidden("clock_step:0.01")
+    projection = NuisanceProjector.at_fit(fit_base_model([session.recording], session.board))
+    candidate = fit_candidate(projection, find_term("clock_step"), None, [np.array([0.01, 19.0])])
+    assert candidate is not None
+    objective = CandidateObjective(projection, find_term("clock_step"), None)
+    free = np.array([*objective.sizes, *objective.events])
+    expansion = objective.expand(candidate.extension.values, free)
+    lost = np.array([[expansion.curvature[0, 0], 1e-9], [1e-9, 3e-24]])
+    assert event_std(objective, replace(expansion, curvature=lost)) > 1e-3
 
 
 def test_what_is_always_there_has_no_time(weighed: Callable[[str], FittedCandidate]) -> None:
