@@ -23,6 +23,7 @@ from dataclasses import replace
 import numpy as np
 
 from gyrorig_solver.data import FloatArray
+from gyrorig_solver.discover.candidate_fits import global_p_value
 from gyrorig_solver.discover.cause_findings import DependenceTest
 from gyrorig_solver.discover.cause_ranking import MODEL_ERROR_SHARE, RankedCause
 from gyrorig_solver.discover.checks.model_check import JudgedModel, Verdict
@@ -75,7 +76,8 @@ def find_misspecification(
     explained_statistic = 2.0 * ranked.candidate.delta_log_likelihood
     if extension.term.is_whole_steps and _is_below_one_step(model.space, projection, k):
         description = "on a jump of less than one step"
-        return DependenceTest("pan_transient", description, explained_statistic, 1, 0.0)
+        p_value = global_p_value(ranked.candidate, ranked.effective_trials, model.tests)
+        return DependenceTest("pan_transient", description, explained_statistic, 1, p_value)
     scenes = projection.states
     covariates = extension.term.covariates or ()
     basis_families = [
