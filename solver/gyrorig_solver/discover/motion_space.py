@@ -16,6 +16,7 @@ from gyrorig_solver.discover.cause_findings import DependenceTest
 from gyrorig_solver.discover.checks.residual_dependence import residual_dependence_tests
 from gyrorig_solver.discover.checks.typical_noise import (
     build_projector,
+    build_usual_projector,
     has_typical_noise,
     limit_to_typical,
     measure_bias_walk,
@@ -187,7 +188,7 @@ class MotionFitSpace(FitSpace):
             return residual_dependence_tests(projector)
         walk = measure_bias_walk(self.solution)
         tests = residual_dependence_tests(
-            self.projector(typical=True), None if walk.is_excessive else projector
+            self.projector(typical=True), build_usual_projector(self.solution)
         )
         return sorted(
             [*tests, walk.dependence_test], key=lambda test: (test.p_value, -test.statistic)

@@ -1,15 +1,14 @@
 """Bias random walk as a named cause, from the noise levels of a fit.
 
 The noise levels include the random walk, therefore the residual shows nothing. The walk is named
-if the fitted levels are significantly more likely than typical ones, if a random walk fits better
-than flicker, if no other test is significant, and if no alternative cause is nearly as likely.
+if an unusual walk is significantly more likely than a typical one with flicker of any level, if no
+other test is significant, and if no alternative cause is nearly as likely.
 
 What to use when: `RandomWalkCheck` after a search; causes that the walk leaves possible (a step, a
 warm-up) are listed with it.
 """
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -23,59 +22,28 @@ from gyrorig_solver.discover.checks.model_check import (
 )
 from gyrorig_solver.discover.checks.residual_dependence import residual_dependence_tests
 from gyrorig_solver.discover.checks.typical_noise import (
-    TYPICAL_POWER_FACTOR,
     has_typical_noise,
-    limit_to_typical,
+)
+from gyrorig_solver.discover.checks.walk_profile import (
+    MAX_LOG_LEVEL_SHIFT,
+    WalkProfile,
+    profile_walks,
 )
 from gyrorig_solver.discover.fit_space import NoiseAlternative
 from gyrorig_solver.discover.motion_space import MotionFitSpace
 from gyrorig_solver.discover.named_causes import name_outside_fit
 from gyrorig_solver.discover.testable_terms import FALSE_ALARM_RATE
 from gyrorig_solver.estimate import (
-    PRIOR_LOG_STD,
     ConvergedFit,
-    NoiseModel,
-    Spectrum,
-    nominal_levels,
-    unit_densities,
 )
-from gyrorig_solver.estimate.noise.noise_model import quantum_density
 from gyrorig_solver.model import XYZ
 from gyrorig_solver.model.causes.bias_random_walk import BiasRandomWalk
 from gyrorig_solver.numerics import chi2_upper_tail
 
-FLICKER, WALK = 1, 2  # which of a noise model's levels
 ACTING_NATS = 4.5  # of one axis, three deviations: there it acts
 JUMP_AVERAGING_S = (1.0, 2.0, 4.0)  # means long enough that the white noise does not hide a leap
 JUMP_KURTOSIS_SIGMA = 3.5
 MIN_MEANS = 20  # means
-MAX_LOG_LEVEL_SHIFT = (
-    12.0  # of a level's logarithm from an ordinary part's: 400 times its amplitude
-)
-LEVEL_GRID_POINTS = 241  # levels along that way
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _LevelProfile:
-    """The profile log-likelihood of one noise level on one axis of one recording."""
-
-    log_levels: FloatArray  # (LOOKS,)
-    nats: FloatArray  # (LOOKS,), above what an ordinary part's level would have
-
-    @property
-    def gain_nats(self) -> float:
-        """The log-likelihood of the best level minus that of a typical part's highest."""
-        return max(float(self.nats.max()), 0.0)
-
-    def posterior_level(self) -> tuple[float, float]:
-        """Return the posterior mean of the level's root, and its standard deviation."""
-        deviation = (self.log_levels - self.log_levels.mean()) / PRIOR_LOG_STD
-        log_posterior = self.nats - 0.5 * deviation**2
-        weight = np.exp(log_posterior - log_posterior.max())
-        weight /= weight.sum()
-        root = np.exp(0.5 * self.log_levels)
-        mean = float(weight @ root)
-        return mean, float(np.sqrt(weight @ (root - mean) ** 2))
 
 
 class RandomWalkCheck:
@@ -116,12 +84,9 @@ def detect_random_walk(
     """
     if has_typical_noise(solution):
         return None
-    walk = [_profile_level(*profile, WALK) for profile in _axis_spectra(solution)]
-    flicker = [_profile_level(*profile, FLICKER) for profile in _axis_spectra(solution)]
+    walk = profile_walks(solution)
     axis_gains = np.array([profile.gain_nats for profile in walk]).reshape(-1, 3).sum(axis=0)
     gain = float(axis_gains.sum())
-    if gain < sum(profile.gain_nats for profile in flicker):
-        return None
     if _residual_has_jumps(solution, axis_gains > ACTING_NATS):
         return None
     p_value = min(1.0, chi2_upper_tail(2.0 * gain, float(np.sum(axis_gains > 0.0))) * tests)
@@ -150,34 +115,6 @@ def detect_random_walk(
         one_of=credible_set(posterior, ((rival.cause, rival.posterior) for rival in rivals)),
         rivals=tuple(rivals),
     )
-
-
-def _axis_spectra(solution: ConvergedFit) -> Iterator[tuple[Spectrum, NoiseModel, NoiseModel, int]]:
-    """Yield each recording's axes: spectrum, levels, levels limited to typical ones, axis index."""
-    for spectrum, noise in zip(solution.spectra, solution.noises, strict=True):
-        calm = limit_to_typical(noise)  # levels of a typical part at most
-        for axis in range(3):
-            yield spectrum, noise, calm, axis
-
-
-def _profile_level(
-    spectrum: Spectrum, noise: NoiseModel, limited: NoiseModel, axis: int, which: int
-) -> _LevelProfile:
-    """Profile one level of an axis, the others not above a typical part's."""
-    typical = nominal_levels(float(noise.levels[axis, 0]))
-    log_levels = np.log(typical[which]) + np.linspace(
-        -MAX_LOG_LEVEL_SHIFT, MAX_LOG_LEVEL_SHIFT, LEVEL_GRID_POINTS
-    )
-    shape = unit_densities(spectrum.frequency_hz, noise.sampling)
-    if spectrum.white_power is not None:
-        shape[0] *= spectrum.white_power[:, axis]
-    other_levels = limited.levels[axis].copy()
-    other_levels[which] = 0.0
-    other_density = other_levels @ shape + quantum_density(noise.sampling)
-    density = other_density + np.exp(log_levels)[:, None] * shape[which]
-    nats = -0.5 * (np.log(density) + spectrum.density[:, axis] / density) @ spectrum.count
-    typical_levels = log_levels <= np.log(float(TYPICAL_POWER_FACTOR * typical[which]))
-    return _LevelProfile(log_levels, nats - float(nats[typical_levels].max(initial=float(nats[0]))))
 
 
 def has_jumps(signal: FloatArray, rate_hz: float) -> bool:
@@ -212,7 +149,7 @@ def _residual_has_jumps(solution: ConvergedFit, axes: BoolArray) -> bool:
     )
 
 
-def _combine_levels(profiles: Sequence[_LevelProfile]) -> tuple[FloatArray, FloatArray]:
+def _combine_levels(profiles: Sequence[WalkProfile]) -> tuple[FloatArray, FloatArray]:
     """Return the walk of each axis and its uncertainty over all recordings, (3,) each."""
     levels = np.array([profile.posterior_level() for profile in profiles]).reshape(-1, 3, 2)
     weight = levels[:, :, 1] ** -2.0

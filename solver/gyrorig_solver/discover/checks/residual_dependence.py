@@ -10,14 +10,13 @@ What to use when: `residual_dependence_tests` for all tests, `dependences_on` fo
 """
 
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from gyrorig_solver.data import FloatArray, IntArray
 from gyrorig_solver.discover.cause_findings import DependenceTest
 from gyrorig_solver.discover.checks.smooth_alternatives import BasisFamily, smooth_families
-from gyrorig_solver.discover.checks.typical_noise import likelihood_gain
 from gyrorig_solver.discover.checks.variance_trend import fit_variance_trend, speed_shapes
 from gyrorig_solver.discover.score_tests import NEGLIGIBLE_ENERGY, ScoreTest
 from gyrorig_solver.estimate import NuisanceProjector, ScoreStatistics
@@ -42,26 +41,26 @@ class DetailTest:
 
 
 def residual_dependence_tests(
-    projection: NuisanceProjector, fitted_noise_projection: NuisanceProjector | None = None
+    projection: NuisanceProjector, usual_noise_projection: NuisanceProjector | None = None
 ) -> list[DependenceTest]:
     """Test whether a residual depends on each covariate; the smallest p-value first.
 
     Args:
         projection: the nuisance projector at the fit.
-        fitted_noise_projection: the same with fitted levels, where `projection` has typical ones;
-            a significant test must then raise the likelihood with refitted levels.
+        usual_noise_projection: the same with the fitted levels of a usual part, where `projection`
+            has typical ones; a significant test must then be significant with both.
     """
     families = list(smooth_families(projection.states))
     tests = len(families) + VARIANCE_TESTS
-    variances = variance_tests(fitted_noise_projection or projection, tests)
-    return dependences_on(projection, families, tests, fitted_noise_projection, variances)
+    variances = variance_tests(usual_noise_projection or projection, tests)
+    return dependences_on(projection, families, tests, usual_noise_projection, variances)
 
 
 def dependences_on(
     projection: NuisanceProjector,
     families: Iterable[BasisFamily],
     tests: int,
-    fitted_noise_projection: NuisanceProjector | None = None,
+    usual_noise_projection: NuisanceProjector | None = None,
     other_tests: Iterable[DependenceTest] = (),
 ) -> list[DependenceTest]:
     """Return the test of each covariate, the smallest p-value first.
@@ -70,12 +69,12 @@ def dependences_on(
         projection: the nuisance projector at the fit.
         families: smooth functions of covariates.
         tests: how many share the false alarms.
-        fitted_noise_projection: as in `residual_dependence_tests`.
+        usual_noise_projection: as in `residual_dependence_tests`.
         other_tests: of other covariates, to be listed with them.
     """
     by_covariate = {test.covariate: test for test in other_tests}
     for family in families:
-        test = _dependence_test(projection, fitted_noise_projection, family, tests)
+        test = _dependence_test(projection, usual_noise_projection, family, tests)
         previous = None if test is None else by_covariate.get(test.covariate)
         if test is not None and (previous is None or test.p_value < previous.p_value):
             by_covariate[test.covariate] = test
@@ -84,7 +83,7 @@ def dependences_on(
 
 def _dependence_test(
     projection: NuisanceProjector,
-    fitted_noise_projection: NuisanceProjector | None,
+    usual_noise_projection: NuisanceProjector | None,
     family: BasisFamily,
     tests: int,
 ) -> DependenceTest | None:
@@ -95,22 +94,17 @@ def _dependence_test(
         detail_test = choose_detail(statistics, family.detail)
     if detail_test is None:
         return None
-    score_test, p_value = detail_test.score_test, detail_test.p_value
-    if fitted_noise_projection is not None and p_value * tests < REFINE_BELOW_P:
-        sizes = np.zeros(family.detail.size)
-        sizes[detail_test.signal_indices] = score_test.one_step_sizes
-        fitted = family.whitened_sum(projection, sizes)
-        likelihood_ratio = 2.0 * max(likelihood_gain(projection, fitted), 0.0)
-        score_test = replace(score_test, statistic=min(likelihood_ratio, score_test.statistic))
-        p_value = len(DETAIL_LIMITS) * chi2_upper_tail(
-            score_test.statistic, score_test.degrees_of_freedom
-        )
+    if usual_noise_projection is not None and detail_test.p_value * tests < REFINE_BELOW_P:
+        usual = choose_detail(family.statistics(usual_noise_projection), family.detail)
+        if usual is not None and usual.p_value > detail_test.p_value:
+            detail_test = usual
+    score_test = detail_test.score_test
     return DependenceTest(
         family.covariate,
         family.description,
         score_test.statistic,
         score_test.degrees_of_freedom,
-        min(1.0, p_value * tests),
+        min(1.0, detail_test.p_value * tests),
         log_evidence=smooth_function_evidence(statistics, family.detail),
     )
 
