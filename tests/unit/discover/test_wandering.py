@@ -2,7 +2,8 @@
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -14,9 +15,9 @@ from gyrorig_solver.discover.checks.typical_noise import (
     limit_to_typical,
     measure_bias_walk,
 )
-from gyrorig_solver.discover.checks.walk_profile import TYPICAL_POWER_FACTOR
+from gyrorig_solver.discover.checks.walk_profile import TYPICAL_POWER_FACTOR, profile_walks
 from gyrorig_solver.estimate import nominal_levels
-from gyrorig_solver.numerics import chi2_upper_tail
+from gyrorig_solver.numerics import chi2_quantile, chi2_upper_tail
 
 
 @pytest.mark.long
@@ -48,6 +49,28 @@ def test_any_axis_might_have_been_the_one(hidden: Callable[..., Any]) -> None:
     alone = chi2_upper_tail(dependence.statistic, dependence.degrees_of_freedom)
     assert 0.0 < alone < 0.1
     assert dependence.p_value == pytest.approx(min(1.0, 3.0 * alone), rel=1e-9, abs=0.0)
+
+
+@pytest.mark.parametrize("flicker", [1.0, 2.7, 8.0])
+def test_flicker_of_other_parts_is_no_random_walk(
+    hidden: Callable[..., Any], flicker: float
+) -> None:
+    """Spectra of noise alone, 600 axes; the limit is that of a p-value of 0.2 %."""
+    session = hidden(program="survey-130")
+    solution = fit_base_model([session.recording], session.board)
+    (noise,), (spectrum,) = solution.noises, solution.spectra
+    levels = np.stack([nominal_levels(float(axis[0])) for axis in noise.levels])
+    levels[:, 1] *= flicker**2
+    density = replace(noise, levels=levels).density_of_bins(spectrum)
+    rng = np.random.default_rng(5)
+    gains_nats = []
+    for _ in range(200):
+        drawn = rng.chisquare(spectrum.count[:, None], density.shape) / spectrum.count[:, None]
+        simulated = replace(spectrum, density=density * drawn)
+        fitted = SimpleNamespace(spectra=[simulated], noises=[replace(noise, levels=levels)])
+        gains_nats += [profile.gain_nats for profile in profile_walks(cast("Any", fitted))]
+    limit_nats = 0.5 * chi2_quantile(0.004, 1)  # half of the gains are zero
+    assert np.mean(np.array(gains_nats) > limit_nats) < 0.01
 
 
 def test_leaps_are_no_random_walk() -> None:
