@@ -50,6 +50,7 @@ MIN_GAIN_NATS = 2.0  # less is no other place, but the same one better found
 # From where: what is best to first order, or by damped steps from next to none; where much is
 # swallowed the former is wild, where little is the latter may stay on the plain it began on.
 START_VALUES = (0.0, 1e-9)
+MIN_EVENT_SHIFT_SIGMA = 0.1  # deviations: less is no reason to fit all causes again
 OBSERVABLE_SIGMA = 2.0  # deviations of an entry of the gain: then the data show that it changes
 MAX_GAIN_CHANGE = 0.2  # of a gain: a board that is turned by more was put on another way
 
@@ -85,10 +86,22 @@ def refit_events(space: Space) -> Space:
             [extension.values],
             search_event=True,
         )
-        if refitted is not None and not refitted.infeasible:
+        if refitted is not None and not refitted.infeasible and _has_moved(extension, refitted):
             causes[k] = replace(extension, values=refitted.extension.values)
             changed = True
     return _refit_if_converged(space, causes) if changed else space
+
+
+def _has_moved(extension: FittedTerm, refitted: FittedCandidate) -> bool:
+    """Return whether a value that the fit holds is another one; a small share of noise is none."""
+    is_event = np.isin(
+        np.arange(extension.values.size), value_indices(extension.term, role="event")
+    )
+    is_held = ~np.isin(np.arange(extension.values.size), extension.free_indices)
+    shift = np.abs(refitted.extension.values - extension.values)
+    event_moved = shift[is_event] > MIN_EVENT_SHIFT_SIGMA * (refitted.event_std or 0.0)
+    shape_moved = shift[is_held & ~is_event] > 0.0
+    return bool(event_moved.any() or shape_moved.any())
 
 
 def _refit_if_converged(space: Space, causes: Sequence[FittedTerm]) -> Space:
