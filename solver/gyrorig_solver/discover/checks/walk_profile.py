@@ -23,7 +23,9 @@ from gyrorig_solver.estimate import (
 from gyrorig_solver.estimate.noise.noise_model import quantum_density
 
 FLICKER, WALK = 1, 2  # which of a noise model's levels
-USUAL_FLICKER_POWER_FACTOR = 64.0  # of the L3G4200D's: parts up to 8 times its amplitude are in use
+# Of the L3G4200D's typical 4 mdps: parts of one type differ by up to four times in amplitude. A bias
+# that jumps between two values for 40 s looks like flicker of six times that.
+USUAL_FLICKER_POWER_FACTOR = 16.0
 TYPICAL_POWER_FACTOR = 4.0  # times the power of a typical part's random walk
 MAX_LOG_LEVEL_SHIFT = (
     12.0  # of a level's logarithm from an ordinary part's: 400 times its amplitude
