@@ -23,8 +23,8 @@ from gyrorig_solver.estimate import (
 from gyrorig_solver.estimate.noise.noise_model import quantum_density
 
 FLICKER, WALK = 1, 2  # which of a noise model's levels
-# Of the L3G4200D's typical 4 mdps: parts of one type differ by up to four times in amplitude. A bias
-# that jumps between two values for 40 s looks like flicker of six times that.
+# Of the power of the L3G4200D's typical 4 mdps: parts differ by up to four times in amplitude. A
+# bias that jumps between two values for 40 s looks like flicker of six times that amplitude.
 USUAL_FLICKER_POWER_FACTOR = 16.0
 TYPICAL_POWER_FACTOR = 4.0  # times the power of a typical part's random walk
 MAX_LOG_LEVEL_SHIFT = (
