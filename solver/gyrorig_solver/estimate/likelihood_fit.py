@@ -88,6 +88,14 @@ def refit_with_terms(
     return again if again.converged else solution
 
 
+def _is_rough_optimum(fit: "LikelihoodFit", step: ProposedStep) -> bool:
+    """Return whether neither a step nor half of it decreases the objective as it promises.
+
+    The derivatives at a threshold are those of the samples on one side of it.
+    """
+    return all(fit.evaluate(step.scaled(share)) < CONFIRMED_NATS for share in (1.0, 0.5))
+
+
 def confirm_fit(solution: ConvergedFit) -> ConvergedFit:
     """Return a fit, continued until new derivatives and a new test for outliers change nothing.
 
@@ -100,8 +108,8 @@ def confirm_fit(solution: ConvergedFit) -> ConvergedFit:
         solution: a fit; it is left as it is.
 
     Returns:
-        The fit at its optimum. If steps with new derivatives still promise something, it has not
-        converged.
+        The fit at its optimum. If steps with new derivatives still decrease the objective, it has
+        not converged.
     """
     if not solution.converged:
         return solution
@@ -111,7 +119,8 @@ def confirm_fit(solution: ConvergedFit) -> ConvergedFit:
         step = fit.propose(0.0)
         # A threshold makes the objective rough, so that the last steps do not become smaller.
         is_small = step.size_sigma < CONFIRMED_SIGMA or k >= ROUGH_CONFIRMATIONS
-        if step.predicted_decrease < CONFIRMED_NATS and is_small:
+        is_confirmed = step.predicted_decrease < CONFIRMED_NATS and is_small
+        if is_confirmed or (k >= ROUGH_CONFIRMATIONS and _is_rough_optimum(fit, step)):
             evaluations = solution.convergence.evaluations
             return replace(
                 solution, convergence=Convergence(True, evaluations, step.predicted_decrease)

@@ -12,7 +12,7 @@ Conn, Gould and Toint, Trust Region Methods, chapter 6.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
@@ -50,6 +50,16 @@ class ProposedStep:
     def size_sigma(self) -> float:
         """The largest change of a parameter in standard deviations."""
         return float(np.max(np.abs(self.sigmas), initial=0.0))
+
+    def scaled(self, factor: float) -> "ProposedStep":
+        """Return a multiple of the step, with the predicted decrease of the whole step."""
+        nuisance_steps = tuple(factor * step for step in self.nuisance_steps)
+        return replace(
+            self,
+            step=factor * self.step,
+            nuisance_steps=nuisance_steps,
+            sigmas=factor * self.sigmas,
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,7 +135,8 @@ def minimise(
         problem: at its start values.
         max_evaluations: limit on the evaluations of the objective.
         trust_shrinkage: whether a step that shrank much is the last one, before it is small.
-        always_renew: compute new derivatives after each step, although the last ones may do.
+        always_renew: compute new derivatives after each step, although the last ones may do, and
+            accept no step that increases the objective.
     """
     shrinkage_limit = STEP_SHRINKAGE if trust_shrinkage else 0.0
     damping, previous_sigma, was_accepted = 0.0, np.inf, True
@@ -145,7 +156,7 @@ def minimise(
             proposal = _extrapolate(full, previous)
         previous = full if is_plain and proposal is full else None
         decrease = problem.evaluate(proposal)
-        allowed = MAX_INCREASE_NATS - lost if evaluation < LATE_EVALUATIONS else INSIGNIFICANT_NATS
+        allowed = _allowed_increase(always_renew, evaluation, lost)
         ratio = _gain_ratio(decrease, proposal.predicted_decrease, allowed)
         was_accepted = ratio >= MIN_GAIN_RATIO
         if was_accepted:
@@ -209,13 +220,17 @@ def _extrapolate(full: ProposedStep, previous: ProposedStep) -> ProposedStep:
     cosine = shrinkage * length / max(float(np.linalg.norm(full.sigmas)), 1e-30)
     if not (MIN_SHRINKAGE < shrinkage < MAX_SHRINKAGE and cosine > MIN_COSINE):
         return full
-    factor = 1.0 / (1.0 - shrinkage)
-    return ProposedStep(
-        full.step * factor,
-        tuple(factor * step for step in full.nuisance_steps),
-        full.predicted_decrease,
-        full.sigmas * factor,
-    )
+    return full.scaled(1.0 / (1.0 - shrinkage))
+
+
+def _allowed_increase(is_strict: bool, evaluation: int, lost: float) -> float:
+    """Return by how much a step may increase the objective, nats.
+
+    Strictly, by nothing: at a threshold, two steps can lead back to each other.
+    """
+    if is_strict:
+        return NEGLIGIBLE_NATS
+    return MAX_INCREASE_NATS - lost if evaluation < LATE_EVALUATIONS else INSIGNIFICANT_NATS
 
 
 def _gain_ratio(decrease: float, predicted: float, allowed_increase: float) -> float:

@@ -71,6 +71,35 @@ def test_steps_that_raise_the_objective_are_rejected() -> None:
     assert solution.remaining_nats < NEGLIGIBLE_NATS
 
 
+@dataclass
+class Threshold(Rosenbrock):
+    """A parabola with other curvatures on both sides of zero: full steps lead back, too far."""
+
+    parameter_names: tuple[str, ...] = ("level",)
+
+    def propose(self, damping: float) -> ProposedStep:
+        slope = self.x[0] + (1.0 if self.x[0] > 0.0 else -1.0)
+        step = np.array([-slope / (1.0 + damping)])
+        return ProposedStep(step, (), float(0.5 * slope**2), step)
+
+    def evaluate(self, proposal: ProposedStep) -> float:
+        self.trial = self.x + proposal.step
+        return self.nats(float(self.x[0])) - self.nats(float(self.trial[0]))
+
+    @staticmethod
+    def nats(x: float) -> float:
+        return 0.5 * x**2 + abs(x)
+
+
+def test_a_strict_minimisation_never_increases_the_objective() -> None:
+    start = 0.4
+    free, strict = (Threshold(np.array([start])) for _ in range(2))
+    minimise(free, 15)
+    minimise(strict, 15, always_renew=True)
+    assert Threshold.nats(float(free.x[0])) > 0.5  # on one side or the other
+    assert Threshold.nats(float(strict.x[0])) < 0.1
+
+
 def test_full_steps_that_hold_what_they_predict_are_gauss_newton() -> None:
     problem = Rosenbrock(np.array([0.98, 0.97]))
     plain = problem.x.copy()
