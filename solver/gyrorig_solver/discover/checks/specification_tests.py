@@ -46,6 +46,8 @@ REJECTION_LEVEL = (
     0.005  # share of right names that may be dropped: a quarter of what names may be lost
 )
 NEGLIGIBLE_SHARE = MODEL_ERROR_SHARE  # share of a cause's own statistic
+# Of a cause's own nats, by which it must lead a smooth function: half of the effect has its form.
+FORM_ERROR_SHARE = 0.5
 DECISIVE_NATS = 4.6  # nats, odds of a hundred: Jeffreys, Theory of Probability, appendix B
 WHOLE_STEP_SIGMA = 5.0  # that a loss must lie below a step to be none
 
@@ -59,7 +61,40 @@ class SpecificationCheck:
         """Return the causes with a wrong form, and the tests that reject them."""
         failures = [find_misspecification(model, k, ranked) for k, ranked in model.fitted_causes]
         rejecting = sorted((test for test in failures if test), key=lambda test: test.p_value)
-        return Verdict(tuple(test is not None for test in failures), tuple(rejecting))
+        removed = [
+            test is not None and not is_better_than_functions(model, k, ranked)
+            for test, (k, ranked) in zip(failures, model.fitted_causes, strict=True)
+        ]
+        return Verdict(tuple(removed), tuple(rejecting))
+
+
+def is_better_than_functions(model: JudgedModel[Space], k: int, ranked: RankedCause) -> bool:
+    """Return whether a cause and a smooth function are far more probable than a function alone.
+
+    Then the name stays, and the rest is reported beside it: the effect has the form of the cause,
+    and something else acts as well. It must be smaller: beside a larger unknown effect, a cause can
+    be the part of it that no smooth function follows.
+
+    Args:
+        model: the model with the cause.
+        k: which cause of its fit.
+        ranked: its ranking.
+    """
+    candidate, term = ranked.candidate, model.space.fitted_terms[k].term
+    beside_nats = _best_function_nats(model.result.projector)
+    if term.is_whole_steps or beside_nats > candidate.log_evidence:
+        return False
+    alone_nats = _best_function_nats(model.space.projector_without(k))
+    lead_nats = candidate.log_evidence + beside_nats - alone_nats
+    return lead_nats > max(DECISIVE_NATS, FORM_ERROR_SHARE * candidate.delta_log_likelihood)
+
+
+def _best_function_nats(projector: NuisanceProjector) -> float:
+    """Return the log evidence of the most probable smooth function of a covariate, against none."""
+    return max(
+        smooth_function_evidence(family.statistics(projector), family.detail)
+        for family in smooth_families(projector.states)
+    )
 
 
 def find_misspecification(
