@@ -11,7 +11,8 @@ Both are score tests with the cause, its sizes, shapes and event free. If the ca
 statistic of d signals is chi-squared with d degrees of freedom. The choice among sets is corrected
 by Bonferroni; a right cause is rejected in at most `REJECTION_LEVEL` of sessions. A cause of an
 angle is also rejected if a smooth function of that angle is decisively more probable. An excess
-below `NEGLIGIBLE_SHARE` of the explained statistic is ignored, because no form is exact.
+below `NEGLIGIBLE_SHARE` of the explained statistic is ignored, because no form is exact. A rejected
+cause keeps its name if it explains far more than a smooth function alone; see decision 0071.
 
 What to use when: `SpecificationCheck` after a search.
 
