@@ -36,8 +36,8 @@ def test_trials_together_have_the_statistics_of_single_ones(
     assert [test.statistic for test in together] == pytest.approx(
         [test.statistic for test in single], rel=1e-4, abs=1e-3
     )
-    for one, other in zip(single, together, strict=True):
-        assert other.one_step_sizes == pytest.approx(one.one_step_sizes, rel=1e-3, abs=1e-9)
+    for alone, batched in zip(single, together, strict=True):
+        assert batched.one_step_sizes == pytest.approx(alone.one_step_sizes, rel=1e-3, abs=1e-9)
 
 
 def test_a_start_that_is_worse_than_nothing_gets_other_sizes(
