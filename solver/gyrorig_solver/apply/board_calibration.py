@@ -17,12 +17,14 @@ import numpy.typing as npt
 
 from gyrorig_protocol.errors import InputError, UsageError
 from gyrorig_solver.apply.affine import Output, Readings
+from gyrorig_solver.apply.calibration_correction import (
+    build_bias_correction,
+    build_correction,
+)
 from gyrorig_solver.apply.calibration_file import check_parameters, read_calibration
 from gyrorig_solver.apply.correction import (
     Correction,
     Frame,
-    build_bias_correction,
-    build_correction,
 )
 from gyrorig_solver.calibration import CalibrationDocument
 from gyrorig_solver.data import FloatArray

@@ -10,13 +10,13 @@ import click
 from gyrorig_protocol.errors import UsageError
 from gyrorig_solver.apply import FRAMES, Calibration, Frame
 from gyrorig_solver.apply.board_calibration import READING_UNITS, ReadingUnit
+from gyrorig_solver.apply.calibration_correction import LAG_NOTE
 from gyrorig_solver.apply.corrected_table import (
     RATE_COLUMNS,
     TIME_UNITS_S,
     TableColumns,
     apply_to_table,
 )
-from gyrorig_solver.apply.correction import LAG_NOTE
 from gyrorig_solver.commands.terminal import Terminal, choice_option, json_option, output_option
 from gyrorig_solver.data.text_table import check_text_table
 

@@ -9,8 +9,8 @@ import numpy as np
 
 from gyrorig_protocol.errors import InputError
 from gyrorig_solver.apply import Calibration, Correction, Frame
+from gyrorig_solver.apply.calibration_correction import build_bias_correction, unobservable_text
 from gyrorig_solver.apply.calibration_file import check_parameters
-from gyrorig_solver.apply.correction import build_bias_correction, unobservable_text
 from gyrorig_solver.calibration import calibration_document
 from gyrorig_solver.calibration.document_checks import check_document
 from gyrorig_solver.data import FloatArray, TemperatureCurve

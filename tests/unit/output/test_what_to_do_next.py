@@ -9,7 +9,7 @@ import yaml
 
 from gyrorig_protocol.errors import InputError, UsageError
 from gyrorig_solver import cli
-from gyrorig_solver.apply.correction import build_correction
+from gyrorig_solver.apply.calibration_correction import build_correction
 from gyrorig_solver.calibration import parse_calibration
 from gyrorig_solver.estimate.noise.noise_model import Sampling
 from gyrorig_solver.estimate.series import too_short_error

@@ -20,7 +20,7 @@ NAMES_ITS_FINDING = "the check is the only detector of this cause, and names it"
 APPLIES_PARAMETERS = "applies the parameters of a calibration by name, without the solver"
 EXCEPTIONS = {
     "solver/gyrorig_solver/apply/calibration_file.py": APPLIES_PARAMETERS,
-    "solver/gyrorig_solver/apply/correction.py": APPLIES_PARAMETERS,
+    "solver/gyrorig_solver/apply/calibration_correction.py": APPLIES_PARAMETERS,
     "solver/gyrorig_solver/data/stream/counter_gaps.py": NAMES_ITS_FINDING,
     "solver/gyrorig_solver/data/stream/damaged_words.py": NAMES_ITS_FINDING,
     "solver/gyrorig_solver/data/stream/exact_repeats.py": NAMES_ITS_FINDING,
