@@ -87,7 +87,7 @@ def fit_leading(
         term_scores = term_scores or scan_catalogue(
             projection, [term], tests, all_templates(projection, term)
         )
-        if is_much_weaker(term, term_scores, threshold):
+        if _is_much_weaker(term, term_scores, threshold):
             continue
         fitted = fit_best_place(projection, term_scores)
         if fitted is not None:
@@ -108,7 +108,7 @@ def fit_leading(
     return candidates
 
 
-def is_much_weaker(term: Term, scores: Sequence[CandidateScore], threshold: float) -> bool:
+def _is_much_weaker(term: Term, scores: Sequence[CandidateScore], threshold: float) -> bool:
     """Return whether the best template of a lag by time sees too little; its fit is expensive."""
     excess = [s.score_test.statistic - s.score_test.degrees_of_freedom for s in scores]
     return term.template_search == "lag_series" and max(excess, default=-np.inf) < threshold

@@ -93,7 +93,10 @@ def refit_events(space: Space) -> Space:
 
 
 def _has_moved(extension: FittedTerm, refitted: FittedCandidate) -> bool:
-    """Return whether a value that the fit holds is another one; a small share of noise is none."""
+    """Return whether the new fit has another event time or another held shape.
+
+    A shift by a small share of the time's standard uncertainty does not count.
+    """
     is_event = np.isin(
         np.arange(extension.values.size), value_indices(extension.term, role="event")
     )

@@ -27,11 +27,10 @@ FLICKER, WALK = 1, 2  # which of a noise model's levels
 # bias that jumps between two values for 40 s looks like flicker of six times that amplitude.
 USUAL_FLICKER_POWER_FACTOR = 16.0
 TYPICAL_POWER_FACTOR = 4.0  # times the power of a typical part's random walk
-MAX_LOG_LEVEL_SHIFT = (
-    12.0  # of a level's logarithm from an ordinary part's: 400 times its amplitude
-)
-LEVEL_GRID_POINTS = 241  # levels along that way
-FLICKER_GRID_STEP = 4  # of these points: the likelihood is flat over a smaller change
+# Of a level's logarithm from that of a typical part, either way: 400 times its amplitude.
+MAX_LOG_LEVEL_SHIFT = 12.0
+LEVEL_GRID_POINTS = 241  # levels of the walk in this range
+FLICKER_GRID_STEP = 4  # every fourth of them is a level of the flicker, which matters less
 
 
 @dataclass(frozen=True, slots=True, eq=False)
