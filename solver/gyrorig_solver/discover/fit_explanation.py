@@ -30,6 +30,7 @@ from gyrorig_solver.discover.checks.model_check import Check, JudgedModel, judge
 from gyrorig_solver.discover.checks.ramp_check import RampCheck
 from gyrorig_solver.discover.checks.random_walk import RandomWalkCheck
 from gyrorig_solver.discover.checks.redundancy import RedundancyCheck
+from gyrorig_solver.discover.checks.shared_covariate import SharedCovariateCheck
 from gyrorig_solver.discover.checks.specification_tests import SpecificationCheck
 from gyrorig_solver.discover.checks.unobservable_share import UnobservableShareCheck
 from gyrorig_solver.discover.fit_space import Space
@@ -52,6 +53,7 @@ from gyrorig_solver.model import (
 
 MOTION_CHECKS: tuple[Check[MotionFitSpace], ...] = (
     SpecificationCheck(),
+    SharedCovariateCheck(),
     UnobservableShareCheck(),
     JitterCheck(),
     RampCheck(),

@@ -83,8 +83,8 @@ class FitSpace(ABC):
         """Return the nuisance projector at the fit, with fitted or typical noise levels."""
 
     @abstractmethod
-    def projector_without(self, k: int) -> NuisanceProjector:
-        """Return the projector with one cause taken out of the nuisances, its effect added back."""
+    def projector_without(self, *dropped: int) -> NuisanceProjector:
+        """Return the projector with some causes taken out, their effects added back."""
 
     @abstractmethod
     def refit(

@@ -67,17 +67,18 @@ class MotionFitSpace(FitSpace):
         """Return the nuisance projector, with fitted or typical noise levels."""
         return build_projector(self.solution, typical)
 
-    def projector_without(self, k: int) -> NuisanceProjector:
-        """Return the projector with one cause taken out, its effect added back.
+    def projector_without(self, *dropped: int) -> NuisanceProjector:
+        """Return the projector with some causes taken out, their effects added back.
 
         A cause that changes the motion law is taken out by a fit under the other law.
         """
-        others = [other for j, other in enumerate(self.fitted_terms) if j != k]
-        if self.changes_law(self.fitted_terms[k].term):
-            without = self.refit(others)
+        kept = [term for j, term in enumerate(self.fitted_terms) if j not in dropped]
+        removed = [self.fitted_terms[k] for k in dropped]
+        if any(self.changes_law(fitted_term.term) for fitted_term in removed):
+            without = self.refit(kept)
             if without.convergence.converged:
                 return without.projector()
-        return NuisanceProjector.at_fit(self.solution, others, [self.fitted_terms[k]])
+        return NuisanceProjector.at_fit(self.solution, kept, removed)
 
     def refit(
         self, fitted_terms: Sequence[FittedTerm], max_evaluations: int = MAX_EVALUATIONS

@@ -179,9 +179,10 @@ class AttitudeFitSpace(FitSpace):
         del typical
         return self._projector
 
-    def projector_without(self, k: int) -> NuisanceProjector:
-        """Return the projector with one cause taken out, its effect added back."""
-        return self.base.with_terms([term for j, term in enumerate(self.fitted_terms) if j != k])
+    def projector_without(self, *dropped: int) -> NuisanceProjector:
+        """Return the projector with some causes taken out, their effects added back."""
+        kept = [term for j, term in enumerate(self.fitted_terms) if j not in dropped]
+        return self.base.with_terms(kept)
 
     def refit(
         self, fitted_terms: Sequence[FittedTerm], max_evaluations: int = MAX_EVALUATIONS

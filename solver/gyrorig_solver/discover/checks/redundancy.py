@@ -1,4 +1,4 @@
-"""Takes away names that what remains of the residual makes needless.
+"""Rejects the names that the rest of the residual makes redundant.
 
 Where part of the residual is unexplained, a named cause may be a part of that effect.
 
@@ -19,6 +19,7 @@ import numpy as np
 from gyrorig_solver.discover.cause_findings import DependenceTest
 from gyrorig_solver.discover.checks.model_check import JudgedModel, Verdict
 from gyrorig_solver.discover.checks.smooth_alternatives import smooth_families
+from gyrorig_solver.discover.checks.specification_tests import is_better_than_functions
 from gyrorig_solver.discover.fit_space import Space
 from gyrorig_solver.discover.score_tests import ScoreTest
 from gyrorig_solver.discover.testable_terms import FALSE_ALARM_RATE
@@ -29,12 +30,12 @@ MIN_EXPLAINED_SHARE = 0.8  # minimum share of the dependences that the names mus
 
 
 class RedundancyCheck:
-    """Takes away the names that what remains of the residual makes needless."""
+    """Rejects the names that the rest of the residual makes redundant."""
 
     removes_names = True
 
     def judge(self, model: JudgedModel[Space]) -> Verdict:
-        """Return the needless causes."""
+        """Return the redundant causes."""
         unexplained = model.unexplained
         if unexplained is None or not model.result.ranked_causes:
             return Verdict()
@@ -43,6 +44,10 @@ class RedundancyCheck:
         if unexplained.named_share < MIN_EXPLAINED_SHARE:
             partial = find_partial_explanations(model, dependences)
             removed = [a or b for a, b in zip(removed, partial, strict=True)]
+        removed = [
+            out and not is_better_than_functions(model, k, ranked)
+            for out, (k, ranked) in zip(removed, model.fitted_causes, strict=True)
+        ]
         return Verdict(tuple(removed), unexplained=unexplained)
 
 

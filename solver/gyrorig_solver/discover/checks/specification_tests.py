@@ -82,20 +82,27 @@ def is_better_than_functions(model: JudgedModel[Space], k: int, ranked: RankedCa
         ranked: its ranking.
     """
     candidate, term = ranked.candidate, model.space.fitted_terms[k].term
-    beside_nats = _best_function_nats(model.result.projector)
+    beside_nats = best_function_nats(model.result.projector)
     if term.is_whole_steps or beside_nats > candidate.log_evidence:
         return False
-    alone_nats = _best_function_nats(model.space.projector_without(k))
+    alone_nats = best_function_nats(model.space.projector_without(k))
     lead_nats = candidate.log_evidence + beside_nats - alone_nats
     return lead_nats > max(DECISIVE_NATS, FORM_ERROR_SHARE * candidate.delta_log_likelihood)
 
 
-def _best_function_nats(projector: NuisanceProjector) -> float:
-    """Return the log evidence of the most probable smooth function of a covariate, against none."""
-    return max(
+def best_function_nats(projector: NuisanceProjector, covariate: str | None = None) -> float:
+    """Return the log evidence of the most probable smooth function of a covariate, against none.
+
+    Args:
+        projector: the nuisance projector at a fit.
+        covariate: of which the functions are; None: of any.
+    """
+    evidences = (
         smooth_function_evidence(family.statistics(projector), family.detail)
         for family in smooth_families(projector.states)
+        if covariate in (None, family.covariate)
     )
+    return max(evidences, default=0.0)
 
 
 def find_misspecification(

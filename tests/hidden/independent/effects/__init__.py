@@ -1,0 +1,1 @@
+"""Effects of real rigs that neither the catalogue nor `tests.hidden.truth.outside` has."""

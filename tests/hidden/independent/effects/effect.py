@@ -1,0 +1,73 @@
+"""What an effect outside the catalogue may change, and how a table states it.
+
+An effect overrides one method of `Effect`. `OutsideEffect` is its entry in the table.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from tests.bench.accuracy.profile import FloatArray
+from tests.bench.rigs.stage_motion import StageMotion, StepTracks
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Effect:
+    """An effect that changes nothing; others override one method."""
+
+    def added_angles_rad(self, tracks: StepTracks) -> tuple[FloatArray, FloatArray]:
+        """Return what is added to the angles of pan and tilt at the edges of the grid."""
+        nothing = np.zeros(tracks.edges_s.size)
+        return nothing, nothing
+
+    def added_rates_rad_s(self, motion: StageMotion, span_s: tuple[float, float]) -> FloatArray:
+        """Return what is added to the sensing element's output, (n, 3) or (1, 3)."""
+        return np.zeros((1, 3))
+
+    def axis_lags_s(self) -> FloatArray:
+        """Return what is added to the lag of each axis, (3,)."""
+        return np.zeros(3)
+
+    def noise_amplitude(self, motion: StageMotion, span_s: tuple[float, float]) -> FloatArray:
+        """Return the white noise's amplitude relative to that at rest, (n,) or (1,)."""
+        return np.ones(1)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Site:
+    """What an effect is made from; the generator begins anew each time."""
+
+    size: float
+    rng: np.random.Generator
+    span_s: tuple[float, float]
+
+    def direction(self) -> FloatArray:
+        """Return a random direction whose largest component is 1, (3,)."""
+        drawn = self.rng.standard_normal(3)
+        return np.asarray(drawn / np.abs(drawn).max())
+
+
+@dataclass(frozen=True, slots=True)
+class OutsideEffect:
+    """One effect outside the catalogue.
+
+    Attributes:
+        start: a size with which the search for the right size begins.
+        most: a larger size is not this effect any more.
+        groups: covariates, one of which an explanation has to state.
+        in_variance: whether it changes only the scatter.
+    """
+
+    name: str
+    says: str
+    unit: str
+    start: float
+    most: float
+    groups: tuple[str, ...]
+    make: Callable[[Site], Effect]
+    in_variance: bool = False
+
+
+def unit_vector_text(values: FloatArray) -> list[float]:
+    """Return a vector as plain numbers."""
+    return [float(value) for value in values]

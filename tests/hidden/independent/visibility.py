@@ -1,0 +1,162 @@
+"""How visible a hidden effect is in one session, in units of the true noise.
+
+The difference of the noise-free rates is whitened by the true densities in the space of the cosine
+transform. What gain, bias, time offset and the start delays of the moves absorb is projected off.
+The energy of the rest is the non-centrality.
+"""
+
+from functools import cached_property
+
+import numpy as np
+from scipy.fft import dct
+from tests.bench.accuracy.profile import FloatArray
+from tests.bench.rigs.prior_sizes import HiddenCauses
+from tests.bench.rigs.rig import FINE_HZ
+from tests.bench.rigs.stage_motion import StageMotion
+from tests.hidden.independent.parts import RigParts
+from tests.hidden.independent.simulation import NO_CAUSES, GridRates, Scene
+
+WEAKEST = 1e-9  # share of the strongest; a weaker combination of shapes is rounding
+SHORT_S, ROUNDS = 2e-5, 5  # of the search for the best common delay
+JITTER_DRAWS = 60
+
+
+def coefficient_variances(parts: RigParts, count: int) -> FloatArray:
+    """Return the variance of the noise in each cosine coefficient but the mean's, (n - 1, 3)."""
+    gyroscope = parts.gyroscope
+    odr_hz = gyroscope.odr_hz
+    f = np.arange(1, count) * odr_hz / (2.0 * count)
+    images = np.arange(-int(0.5 * FINE_HZ / odr_hz), int(0.5 * FINE_HZ / odr_hz) + 1)
+    alias_hz = f[:, None] + odr_hz * images
+    response = parts.low_pass.at(alias_hz, gyroscope.bandwidth_hz) / np.sinc(alias_hz / FINE_HZ)
+    folded = np.sum(np.abs(response) ** 2, axis=1)
+    white, flicker, walk = (
+        np.array([getattr(level, name) for level in gyroscope.levels]) ** 2
+        for name in ("white", "flicker", "walk")
+    )
+    density = np.outer(folded, white) + np.outer(1.0 / (np.pi * f), flicker)
+    density += np.outer(1.0 / (2.0 * (np.pi * f) ** 2), walk)
+    density += parts.floor_rad_s_rthz**2 + gyroscope.quantum_rad_s**2 / (6.0 * odr_hz)
+    return np.asarray(0.5 * odr_hz * density)
+
+
+class Visibility:
+    """The space beside what a calibration of one session estimates."""
+
+    def __init__(self, scene: Scene) -> None:
+        """Simulate the session without anything hidden."""
+        self.scene = scene
+        self.plain: GridRates = scene.rates()
+        self._count = self.plain.sample_s.size
+
+    @cached_property
+    def variances(self) -> FloatArray:
+        """Variances of the cosine coefficients, (n - 1, 3)."""
+        return coefficient_variances(self.scene.parts, self._count)
+
+    def whitened(self, rows_rad_s: FloatArray) -> FloatArray:
+        """Return a signal (n, 3) in units of the noise, without its mean, (3 n - 3,)."""
+        coefficients = dct(rows_rad_s, axis=0, norm="ortho")[1:]
+        return np.asarray((coefficients / np.sqrt(self.variances)).ravel())
+
+    def projected(self, rows_rad_s: FloatArray) -> FloatArray:
+        """Return what is left of a signal beside the parameters of a calibration, (3 n - 3,)."""
+        white = self.whitened(rows_rad_s)
+        return np.asarray(white - self._basis @ (self._basis.T @ white))
+
+    def difference(self, hidden: GridRates, plain: GridRates | None = None) -> FloatArray:
+        """Return what is left of a difference, at the common delay that fits best."""
+        reference = plain or self.plain
+        rates, shift_s = hidden.at(), 0.0
+        slope = self.whitened(self._slope)
+        for _ in range(ROUNDS):
+            white = self.whitened(rates - reference.at(shift_s))
+            step_s = float(slope @ white) / float(slope @ slope)
+            shift_s += step_s
+            if abs(step_s) < SHORT_S:
+                break
+        return self.projected(rates - reference.at(shift_s))
+
+    @cached_property
+    def motion(self) -> StageMotion:
+        """The motion without anything hidden."""
+        return self.scene.motion(NO_CAUSES)
+
+    def late(self, causes: HiddenCauses) -> FloatArray:
+        """Return the difference that a clock makes whose lag changes, (n, 3), to first order."""
+        time_s = self.plain.sample_s
+        begin_s, end_s = self.scene.span_s
+        event_s = begin_s + causes.get("clock_step", "at") * (end_s - begin_s)
+        lag_s = causes.get("clock_skew") * (time_s - 0.5 * (begin_s + end_s))
+        lag_s = lag_s + causes.get("clock_step") * (time_s >= event_s)
+        return np.asarray(-self._slope * lag_s[:, None])
+
+    def noncentrality(self, hidden: GridRates) -> float:
+        """Return the non-centrality of what hidden causes change."""
+        left = self.difference(hidden)
+        return float(left @ left)
+
+    def absorbed(self, hidden: GridRates) -> float:
+        """Return the share of the energy that the calibration's parameters absorb."""
+        white = self.whitened(hidden.at() - self.plain.at())
+        whole = float(white @ white)
+        return 1.0 - min(self.noncentrality(hidden) / whole, 1.0) if whole > 0.0 else 0.0
+
+    @cached_property
+    def jitter(self) -> float:
+        """Non-centrality of jitter of 1 s: tr(S^2) / 2 less what the white level absorbs."""
+        rng = np.random.default_rng(0)
+        draws = np.stack(
+            [
+                self.projected(self._slope * rng.standard_normal((self._count, 1)))
+                for _ in range(JITTER_DRAWS)
+            ]
+        )
+        products = (draws @ draws.T) ** 2
+        pairs = JITTER_DRAWS * (JITTER_DRAWS - 1)
+        whole = float(products.sum() - np.trace(products)) / pairs
+        by_axis = (draws**2).reshape(JITTER_DRAWS, -1, 3).sum(axis=1).mean(axis=0)
+        level = float((by_axis**2).sum()) / (draws.shape[1] / 3.0)
+        return 0.5 * max(whole - level, 0.0)
+
+    def scatter(self, amplitude: FloatArray) -> float:
+        """Return the non-centrality of white noise whose amplitude changes with time.
+
+        Args:
+            amplitude: relative to that at rest, at the samples, (n,).
+        """
+        gyroscope, parts = self.scene.parts.gyroscope, self.scene.parts
+        white = np.array([level.white for level in gyroscope.levels]) ** 2
+        still = parts.floor_rad_s_rthz**2 + gyroscope.quantum_rad_s**2 / (6.0 * gyroscope.odr_hz)
+        total = 0.0
+        for axis in range(3):
+            share = white[axis] / (white[axis] + still)
+            added = np.log1p(share * (amplitude**2 - 1.0))
+            total += 0.5 * float(np.sum((added - added.mean()) ** 2))
+        # Beyond the bandwidth only the floor is left.
+        return total * min(1.0, 2.0 * gyroscope.bandwidth_hz / gyroscope.odr_hz)
+
+    @cached_property
+    def _slope(self) -> FloatArray:
+        return self.plain.slope_rad_s2()
+
+    @cached_property
+    def _basis(self) -> FloatArray:
+        """Orthonormal columns that span the parameters of a calibration."""
+        gain = self.scene.parts.gyroscope.gain
+        stage = (self.plain.at() - self.scene.parts.gyroscope.bias_rad_s) @ np.linalg.inv(gain).T
+        slope = self._slope @ np.linalg.inv(gain).T
+        shapes = [np.outer(stage[:, k], unit) for unit in np.eye(3) for k in range(3)]
+        shapes.append(self._slope)
+        by_axis = (slope[:, 1:] @ gain[:, 1:].T, np.outer(slope[:, 0], gain[:, 0]))
+        for axis in (0, 1):
+            begins = [at_s for moved, at_s in self.scene.moves_s if moved == axis]
+            for begin_s, end_s in zip(begins, [*begins[1:], np.inf], strict=True):
+                during = (self.plain.sample_s >= begin_s) & (self.plain.sample_s < end_s)
+                shapes.append(by_axis[axis] * during[:, None])
+        columns = np.stack([self.whitened(shape) for shape in shapes], axis=1)
+        norms = np.linalg.norm(columns, axis=0)
+        columns = columns[:, norms > 0.0] / norms[norms > 0.0]
+        values, vectors = np.linalg.eigh(columns.T @ columns)
+        kept = values > WEAKEST * values.max()
+        return np.asarray(columns @ (vectors[:, kept] / np.sqrt(values[kept])))
