@@ -24,24 +24,19 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 import numpy as np
 from tests.hidden.truth.draws import SIZED
 from tests.hidden.truth.session import BOARD, RigDraw, record
+from tests.support.next_step import is_at_optimum, next_step
 
 from gyrorig_daemon.emulator.emulator_settings import InjectionRequest
 from gyrorig_daemon.emulator.injection import CAUSES
 from gyrorig_protocol.errors import InputError
 from gyrorig_protocol.identity import BoardId
 from gyrorig_protocol.recording.reader import read_recording
-from gyrorig_solver.estimate import ConvergedFit
-from gyrorig_solver.estimate.board_fit import BoardFit
-from gyrorig_solver.estimate.likelihood_fit import LikelihoodFit
 from gyrorig_solver.estimate.trust_region import NotConvergedError
 from gyrorig_solver.pipeline.board_data import load_board
 from gyrorig_solver.pipeline.criticised_fit import AUTO, fit_criticised
 
 MAX_CAUSES = 8
 PROGRAM_SHARES = {"short-20": 0.8, "quick": 0.2}
-# Stated before the first run. A fit is at its optimum if neither is exceeded.
-MAX_STEP_SIGMA = 0.1  # of the next full step; errors of a tenth change no stated digit
-MAX_DECREASE_NATS = 0.5  # of the objective by that step
 FOUND = ("converged", "refused", "failed")
 
 
@@ -61,17 +56,6 @@ def draw_session(seed: int) -> RigDraw:
         sign = float(rng.choice((-1.0, 1.0))) if cause.is_signed else 1.0
         hidden.append(InjectionRequest(name, place, sign * size))
     return RigDraw(seed, program, hide=tuple(hidden))
-
-
-def next_step(solution: ConvergedFit) -> dict[str, float]:
-    """Return the next full step from the end of a fit, and what it changes in the objective."""
-    problem = LikelihoodFit([BoardFit.resumed(solution, solution.fitted_terms, keep_rejected=True)])
-    step = problem.propose(0.0)
-    return {
-        "step_sigma": step.size_sigma,
-        "predicted_nats": step.predicted_decrease,
-        "decrease_nats": problem.evaluate(step),
-    }
 
 
 def run_session(seed: int, folder: Path) -> dict[str, Any]:
@@ -109,8 +93,7 @@ def is_unconverged_result(row: dict[str, Any]) -> bool:
     """Return whether a session states values of a fit that is not at its optimum."""
     if row["found"] != "converged":
         return False
-    is_off = row.get("step_sigma", 0.0) > MAX_STEP_SIGMA
-    return not row["flag"] or is_off or abs(row.get("decrease_nats", 0.0)) > MAX_DECREASE_NATS
+    return not row["flag"] or not is_at_optimum(row)
 
 
 def summary(rows: list[dict[str, Any]]) -> str:

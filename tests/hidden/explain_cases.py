@@ -27,6 +27,7 @@ from tests.hidden.scoring.bound import bound_of
 from tests.hidden.scoring.oracle import gap_of
 from tests.hidden.scoring.stated import explained, line_of
 from tests.hidden.scoring.variants import REAL, VARIANTS
+from tests.support.next_step import next_step
 
 Row = dict[str, Any]
 
@@ -61,6 +62,7 @@ def answer_line(case: Path, variant: str, out: Path) -> Row:
     try:
         stated = explained(case / "recording.mcap", look.explain)
         line = look.line_of(line_of(seed, variant, stated), stated)
+        line["next_step"] = next_step(stated.explained.solution_extended)
     except Exception as fault:  # a crash is an outcome: it is counted
         line = {"seed": seed, "variant": variant, "crashed": f"{type(fault).__name__}: {fault}"}
         _write(out, {**line, "seal": seal})

@@ -12,6 +12,7 @@ from tests.hidden.scoring.outcome import Coverage, Outcome
 from tests.hidden.scoring.possible import Bound
 
 SIGMA_DIGITS = 2
+PROBABILITY_DIGITS = 4
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,6 +53,10 @@ def _short(outcome: Outcome) -> Outcome:
         fates=tuple(replace(fate, times=round(fate.times, 2)) for fate in outcome.fates),
         covered_causes=near(outcome.covered_causes),
         covered_calibration=near(outcome.covered_calibration),
+        beliefs=tuple(
+            replace(each, probability=round(each.probability, PROBABILITY_DIGITS))
+            for each in outcome.beliefs
+        ),
         harm=None if outcome.harm is None else (outcome.harm[0], round(outcome.harm[1], 1)),
     )
 

@@ -10,6 +10,7 @@ from typing import Any
 
 from tests.hidden.scoring.answers import Answer
 from tests.hidden.scoring.goals import INTERVAL, TWINS
+from tests.hidden.scoring.reliability import Belief, beliefs_of
 from tests.hidden.scoring.true_values import true_values
 
 AMONG, WRONG, MISSED, REST = "among", "wrong", "missed", "rest"
@@ -78,6 +79,7 @@ class Outcome:
     allowed: tuple[str, ...]
     ladder: bool
     seconds: float
+    beliefs: tuple[Belief, ...] = ()  # of sessions with one cause of the catalogue
 
     @property
     def alarmed(self) -> bool:
@@ -137,6 +139,7 @@ def outcome_of(answer: Answer, line: Mapping[str, Any]) -> Outcome:
         allowed=answer.allowed,
         ladder=answer.tier == "ladder",
         seconds=float(line["seconds"]),
+        beliefs=beliefs_of(answer.names[0], line) if answer.kind == "one" else (),
     )
 
 

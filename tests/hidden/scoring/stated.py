@@ -115,6 +115,7 @@ def _named(cause: NamedCause) -> dict[str, Any]:
         "sizes": [value_names(cause.term)[k] for k in value_indices(cause.term, role="size")],
         "statistic": _short(cause.statistic),
         "posterior": _short(cause.posterior),
+        "rivals": {rival.cause: _short(rival.posterior) for rival in cause.rivals},
         "harm_sigma": _short(cause.parameter_bias_sigma),
         "sigma": {c.parameter: _short(c.sigma) for c in cause.changes[:3]},
     }
