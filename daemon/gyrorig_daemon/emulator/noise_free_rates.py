@@ -39,6 +39,8 @@ class NoiseFreeRates:
     plain_rad_s: FloatArray  # without them, (n, 3)
     aligned_rad_s: FloatArray  # without them, at the delay with the best fit, (n, 3)
     slope_rad_s2: FloatArray  # time derivative of the aligned rates, (n, 3)
+    # With the injected causes, half a sample before `time_s`, (n, 3); None if not computed.
+    between_rad_s: FloatArray | None = None
 
 
 def compare_noise_free(
@@ -55,7 +57,7 @@ def compare_noise_free(
     """
     commands = {"pan": rig.stage.pan.commands, "tilt": rig.stage.tilt.commands}
     twin = RigTwin(rig.settings, rig.origin_ns, commands, until_ns, plain)
-    return twin.rates(rig)
+    return twin.rates(rig, with_between=True)
 
 
 class RigTwin:
@@ -88,8 +90,13 @@ class RigTwin:
         self._replay_commands(self._plain)
         self._cached_rates: dict[tuple[str, int], FloatArray] = {}
 
-    def rates(self, rig: EmulatedRig) -> dict[str, NoiseFreeRates]:
-        """Return the rates of each board by name, with the causes of a rig of the same seed."""
+    def rates(self, rig: EmulatedRig, with_between: bool = False) -> dict[str, NoiseFreeRates]:
+        """Return the rates of each board by name, with the causes of a rig of the same seed.
+
+        Args:
+            rig: with the causes.
+            with_between: compute `between_rad_s` as well.
+        """
         settings = replace(rig.settings, noise_free=True)
         injected_rig = EmulatedRig(settings, self._origin_ns, rig.truth, rig.extra_effects)
         self._replay_commands(injected_rig)
@@ -98,8 +105,12 @@ class RigTwin:
             time_s, injected_rad_s = _simulate_rates(injected_rig, board, self._until_s)
             aligned, slope = self._aligned(board, injected_rad_s)
             plain_rad_s = self._delayed_by_steps(board, 0)
+            between = None
+            if with_between:
+                half_s = 0.5 / rig.board_truth(board.name).imu.odr_hz
+                between = _simulate_rates(injected_rig, board, self._until_s, half_s)[1]
             rates[board.name] = NoiseFreeRates(
-                np.arange(len(time_s)), time_s, injected_rad_s, plain_rad_s, aligned, slope
+                np.arange(len(time_s)), time_s, injected_rad_s, plain_rad_s, aligned, slope, between
             )
         return rates
 
@@ -178,6 +189,7 @@ def write_rates(
         f"{name}.{key}": getattr(board_rates, key)
         for name, board_rates in rates.items()
         for key in (field.name for field in fields(board_rates))
+        if getattr(board_rates, key) is not None
     }
     for axis in ("pan", "tilt"):
         arrays[f"{axis}_s"] = np.array([begin_s for name, begin_s in moves_s if name == axis])
