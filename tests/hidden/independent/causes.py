@@ -33,7 +33,7 @@ HIDEABLE = tuple(
 _DETAILS: Mapping[str, tuple[Detail, ...]] = {prior.cause: prior.details for prior in PRIOR_SIZES}
 EVENT = (0.35, 0.65)  # share of the recording at which an event happens
 
-# Name of each size in the answer, and its unit where it is not the cause's.
+# The name of each size in the answer.
 STATED_NAMES: Mapping[str, str] = {
     "acceleration_error": "relative_error", "axis_nonorthogonality": "angle", "backlash": "gap",
     "base_compliance": "compliance", "base_speed_jump": "added", "bias_ramp": "slope",
@@ -110,28 +110,26 @@ def draw_hiding(cause: str, rng: np.random.Generator) -> Hiding:
 
 
 def _pattern(cause: str, rng: np.random.Generator) -> tuple[str, dict[str, float]]:
-    if cause in ALONG:
+    """Return the place of a cause and its sizes there for a size of 1."""
+    place = "tilt" if cause in ("tilt_sag", "axis_nonorthogonality") else "all"
+    sizes = {"size": 1.0}
+    if cause in ALONG or cause == "board_slip":
         drawn = rng.standard_normal(3)
-        drawn = drawn / np.abs(drawn).max()
-        return "all", {axis: float(value) for axis, value in zip(XYZ, drawn, strict=True)}
-    if cause in ALL_AXES:
-        return "x, y, z", dict.fromkeys(XYZ, 1.0)
-    if cause in UNIT_BOTH:
-        return "pan, tilt", dict.fromkeys(AXES, 1.0)
-    if cause in UNIT_ONE:
-        axis = str(rng.choice(CAUSES[cause].components))
-        return axis, {axis: 1.0}
-    if cause == "board_slip":
-        drawn = rng.standard_normal(3)
-        drawn = drawn / np.linalg.norm(drawn)
-        return "all", {axis: float(value) for axis, value in zip(XYZ, drawn, strict=True)}
-    if cause == "g_sensitivity":
+        drawn /= np.linalg.norm(drawn) if cause == "board_slip" else np.abs(drawn).max()
+        sizes = {axis: float(value) for axis, value in zip(XYZ, drawn, strict=True)}
+    elif cause == "g_sensitivity":
         rows = rng.standard_normal((3, 3))
         rows /= np.linalg.norm(rows, axis=1, keepdims=True)
-        return "all", {
-            f"{a}{b}": float(rows[i, j]) for i, a in enumerate(XYZ) for j, b in enumerate(XYZ)
-        }
-    return "tilt" if cause in ("tilt_sag", "axis_nonorthogonality") else "all", {"size": 1.0}
+        names = [f"{row}{column}" for row in XYZ for column in XYZ]
+        sizes = {name: float(value) for name, value in zip(names, rows.ravel(), strict=True)}
+    elif cause in ALL_AXES:
+        place, sizes = "x, y, z", dict.fromkeys(XYZ, 1.0)
+    elif cause in UNIT_BOTH:
+        place, sizes = "pan, tilt", dict.fromkeys(AXES, 1.0)
+    elif cause in UNIT_ONE:
+        place = str(rng.choice(CAUSES[cause].components))
+        sizes = {place: 1.0}
+    return place, sizes
 
 
 def _plain(value: float | list[float], unit: str) -> dict[str, object]:

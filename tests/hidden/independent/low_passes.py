@@ -1,6 +1,8 @@
-"""Low-pass filters of sensors that are not the second-order Butterworth of the emulator.
+"""Low-pass filters of sensors, of another order than the second-order Butterworth of the emulator.
 
-Each filter has its -3 dB point at the stated bandwidth. `FILTERS` has one entry for each kind.
+`MILD` filters are that Butterworth with one more stage, whose length is set for each rig so that
+the solver's assumption is nearly true. `STRONG` filters have another order altogether, with the
+-3 dB point at the stated bandwidth.
 """
 
 from collections.abc import Callable, Mapping
@@ -11,13 +13,28 @@ from numpy.typing import NDArray
 from tests.bench.accuracy.profile import FloatArray
 
 ComplexArray = NDArray[np.complex128]
+Response = Callable[[FloatArray], ComplexArray]
+TURN = 2.0 * np.pi
 TWO_POLES_RATIO = float(np.sqrt(np.sqrt(2.0) - 1.0))  # bandwidth over pole, two equal poles
 BOXCAR_RATIO = 0.442947  # bandwidth times length, of a mean over a window
 
 
 @dataclass(frozen=True, slots=True)
+class Stage:
+    """One more stage behind the low-pass, in units of its time.
+
+    Attributes:
+        response: of frequencies times the stage's time.
+        delay: at frequency zero, over the stage's time.
+    """
+
+    response: Response
+    delay: float
+
+
+@dataclass(frozen=True, slots=True)
 class LowPass:
-    """One kind of low-pass, in units of its bandwidth.
+    """A low-pass in units of its bandwidth, and one more stage that has its own time.
 
     Attributes:
         response: of frequencies in units of the bandwidth.
@@ -25,23 +42,41 @@ class LowPass:
     """
 
     kind: str
-    response: Callable[[FloatArray], ComplexArray]
+    response: Response
     delay: float
+    stage: Stage | None = None
+    stage_s: float = 0.0
 
     def at(self, frequency_hz: FloatArray, bandwidth_hz: float) -> ComplexArray:
         """Return the complex response at frequencies."""
-        return self.response(frequency_hz / bandwidth_hz)
+        response = self.response(frequency_hz / bandwidth_hz)
+        if self.stage is None or self.stage_s == 0.0:
+            return response
+        return response * self.stage.response(frequency_hz * self.stage_s)
 
     def delay_s(self, bandwidth_hz: float) -> float:
         """Return the delay of slow signals."""
-        return self.delay / bandwidth_hz
+        added_s = 0.0 if self.stage is None else self.stage.delay * self.stage_s
+        return self.delay / bandwidth_hz + added_s
 
 
-def _first_order(share: FloatArray) -> ComplexArray:
-    return np.asarray(1.0 / (1.0 + 1j * share), dtype=np.complex128)
+def _pole(share: FloatArray) -> ComplexArray:
+    return np.asarray(1.0 / (1.0 + 1j * TURN * share), dtype=np.complex128)
 
 
 def _two_poles(share: FloatArray) -> ComplexArray:
+    return _pole(share) ** 2
+
+
+def _window(share: FloatArray) -> ComplexArray:
+    return np.asarray(np.sinc(share) * np.exp(-1j * np.pi * share), dtype=np.complex128)
+
+
+def _first_order(share: FloatArray) -> ComplexArray:
+    return _pole(share / TURN)
+
+
+def _equal_poles(share: FloatArray) -> ComplexArray:
     return _first_order(share * TWO_POLES_RATIO) ** 2
 
 
@@ -51,8 +86,7 @@ def _third_order(share: FloatArray) -> ComplexArray:
 
 
 def _boxcar(share: FloatArray) -> ComplexArray:
-    windows = share * BOXCAR_RATIO
-    return np.asarray(np.sinc(windows) * np.exp(-1j * np.pi * windows), dtype=np.complex128)
+    return _window(share * BOXCAR_RATIO)
 
 
 def _butterworth(share: FloatArray) -> ComplexArray:
@@ -60,15 +94,23 @@ def _butterworth(share: FloatArray) -> ComplexArray:
     return np.asarray(1.0 / (1.0 + np.sqrt(2.0) * s + s**2), dtype=np.complex128)
 
 
-_TURN = 2.0 * np.pi
-FILTERS: Mapping[str, LowPass] = {
+BUTTERWORTH_DELAY = float(np.sqrt(2.0)) / TURN
+# Not drawn. It is what the solver assumes; the drawn filter is compared with it.
+ASSUMED = LowPass("butterworth", _butterworth, BUTTERWORTH_DELAY)
+MILD: Mapping[str, LowPass] = {
+    kind: LowPass(kind, _butterworth, BUTTERWORTH_DELAY, stage)
+    for kind, stage in (
+        ("third_order", Stage(_pole, 1.0)),
+        ("fourth_order", Stage(_two_poles, 2.0)),
+        ("averaged", Stage(_window, 0.5)),  # a decimator that takes means
+    )
+}
+STRONG: Mapping[str, LowPass] = {
     low_pass.kind: low_pass
     for low_pass in (
-        LowPass("first_order", _first_order, 1.0 / _TURN),
-        LowPass("two_equal_poles", _two_poles, 2.0 * TWO_POLES_RATIO / _TURN),
-        LowPass("third_order", _third_order, 2.0 / _TURN),
+        LowPass("first_order", _first_order, 1.0 / TURN),
+        LowPass("two_equal_poles", _equal_poles, 2.0 * TWO_POLES_RATIO / TURN),
+        LowPass("third_order_butterworth", _third_order, 2.0 / TURN),
         LowPass("boxcar_decimator", _boxcar, BOXCAR_RATIO / 2.0),
     )
 }
-# Not drawn. It is what the solver assumes; the answer compares the drawn filter with it.
-ASSUMED = LowPass("butterworth", _butterworth, float(np.sqrt(2.0)) / _TURN)

@@ -12,7 +12,7 @@ from tests.bench.accuracy.profile import FloatArray
 from tests.bench.rigs.gyroscope import Gyroscope, draw_gyroscope
 from tests.bench.rigs.prior_sizes import HiddenCauses
 from tests.bench.rigs.rig import BAUDS, COUNTER_SHARE, LEAN_STD_RAD
-from tests.hidden.independent.low_passes import FILTERS, LowPass
+from tests.hidden.independent.low_passes import MILD, STRONG, LowPass
 
 MDPS = float(np.radians(1e-3))
 WHITE_RAD_S_RTHZ = (10.0 * MDPS, 30.0 * MDPS)
@@ -20,12 +20,14 @@ FLICKER_RAD_S = 4.0 * MDPS
 WALK_RAD_S_RTS = 0.3 * MDPS
 MOST_SPREAD = 3.0  # of flicker and walk between parts, either way
 AXIS_SPREAD = (0.8, 1.25)
-FLOOR_SHARE = (0.1, 0.4)  # noise behind the low-pass, as a share of the white noise
+FLOOR_SHARE = (0.0, 0.3)  # noise behind the low-pass, as a share of the white noise
 ODR_STD, MOST_ODR_ERROR = 0.02, 0.05
 ODR_PER_K_STD = 2e-4
 USB_SHARE = 0.5  # of the rigs whose board is on a USB link with frames of 1 ms
 USB_FRAME_S = 1e-3
 CRYSTAL_STD = 3e-5
+STAGE_SHARE = (0.1, 0.6)  # time of a mild filter's stage, over that of its bandwidth
+FILTERS = ("mild", "strong")
 LATENCY_S, LATENCY_EXTRA_S = (3e-4, 3e-3), 1.5e-4
 
 
@@ -89,8 +91,13 @@ class RigParts:
         return self.gyroscope.lag_s + self.low_pass.delay_s(cutoff_hz) + self.link.shortest_s
 
 
-def draw_parts(seed: int) -> RigParts:
-    """Return the rig of a seed."""
+def draw_parts(seed: int, filters: str = "mild") -> RigParts:
+    """Return the rig of a seed.
+
+    Args:
+        seed: of everything.
+        filters: which low-pass filters are drawn, one of `FILTERS`.
+    """
     rng = np.random.default_rng([seed, 0x50415254])
     board_rng = rng.spawn(1)[0]
     gyroscope = draw_gyroscope(board_rng, HiddenCauses())
@@ -109,7 +116,7 @@ def draw_parts(seed: int) -> RigParts:
         baud=float(rng.choice(BAUDS)),
         has_counter=bool(rng.uniform() < COUNTER_SHARE),
         gyroscope=gyroscope,
-        low_pass=FILTERS[str(rng.choice(list(FILTERS)))],
+        low_pass=_draw_low_pass(filters, gyroscope.bandwidth_hz, rng.spawn(1)[0]),
         floor_rad_s_rthz=white * float(rng.uniform(*FLOOR_SHARE)),
         odr_per_k=float(rng.normal(scale=ODR_PER_K_STD)),
         link=Link(
@@ -122,6 +129,14 @@ def draw_parts(seed: int) -> RigParts:
         counter_start=int(rng.integers(2**32)),
         counter_skew=float(rng.normal(scale=2e-5)),
     )
+
+
+def _draw_low_pass(filters: str, bandwidth_hz: float, rng: np.random.Generator) -> LowPass:
+    if filters == "strong":
+        return STRONG[str(rng.choice(list(STRONG)))]
+    low_pass = MILD[str(rng.choice(list(MILD)))]
+    share = float(np.exp(rng.uniform(*np.log(STAGE_SHARE))))
+    return replace(low_pass, stage_s=share / (2.0 * np.pi * bandwidth_hz))
 
 
 def _spread(rng: np.random.Generator) -> float:

@@ -19,7 +19,6 @@ from tests.hidden.independent.effects.effect import Effect
 from tests.hidden.independent.low_passes import LowPass
 from tests.hidden.independent.parts import RigParts
 
-CAUSES_OF_MOVES = ("acceleration_error", "base_speed_jump")
 NO_CAUSES, NO_EFFECT = HiddenCauses(), Effect()
 
 
@@ -30,12 +29,14 @@ class GridRates:
     begin_s: float  # of the grid
     grid_rad_s: FloatArray  # (m, 3)
     sample_s: FloatArray  # (n,)
+    lag_s: FloatArray  # (n,), that a queue of the board adds
     bias_parts_rad_s: dict[str, FloatArray]  # (n, 3), by cause
     limit_rad_s: float
 
     def at(self, shift_s: float = 0.0) -> FloatArray:
         """Return the rates of the samples, each taken later by a time, (n, 3)."""
-        rates = interpolated(self.grid_rad_s, (self.sample_s + shift_s - self.begin_s) * FINE_HZ)
+        taken_s = self.sample_s - self.lag_s + shift_s
+        rates = interpolated(self.grid_rad_s, (taken_s - self.begin_s) * FINE_HZ)
         for part in self.bias_parts_rad_s.values():
             rates = rates + part
         return np.clip(rates, -self.limit_rad_s, self.limit_rad_s)
@@ -67,16 +68,14 @@ class Scene:
         """Return the steps of both axes; an effect turns the stage, not the counts."""
         cells = int((self.session.end_s + 2.0 * MARGIN_S) * FINE_HZ)
         edges_s = -MARGIN_S + np.arange(cells + 1) / FINE_HZ
-        tracks = step_tracks(with_moves_of(self.session, causes, 1.0), causes, edges_s)
+        tracks = step_tracks(with_moves_of(self.session, causes), causes, edges_s)
         added = effect.added_angles_rad(tracks)
         turned = [t + a / RAD_PER_STEP for t, a in zip(tracks.turned, added, strict=True)]
         return replace(tracks, turned=(turned[0], turned[1]))
 
     def motion(self, causes: HiddenCauses, effect: Effect = NO_EFFECT) -> StageMotion:
         """Return the motion of the stage."""
-        return stage_motion(
-            self.tracks(causes, effect), causes, self.span_s, self.parts.lean_rad
-        )
+        return stage_motion(self.tracks(causes, effect), causes, self.span_s, self.parts.lean_rad)
 
     def rates(
         self,
@@ -112,9 +111,16 @@ class Scene:
             begin_s=-MARGIN_S,
             grid_rad_s=grid + quiet + board.bias_rad_s,
             sample_s=sample_s,
+            lag_s=causes.get("clock_step") * self._since_event("clock_step", causes, sample_s),
             bias_parts_rad_s=self._bias_parts(causes, sample_s),
             limit_rad_s=FULL_SCALE_RAD_S * (max(0.05, limit) if limit < 1.0 else 2.0),
         )
+
+    def _since_event(self, cause: str, causes: HiddenCauses, sample_s: FloatArray) -> FloatArray:
+        """Return 1 for the samples since a cause's event, else 0."""
+        begin_s, end_s = self.span_s
+        event_s = begin_s + causes.get(cause, "at") * (end_s - begin_s)
+        return np.where(sample_s >= event_s, 1.0, 0.0)
 
     def _bias_parts(self, causes: HiddenCauses, sample_s: FloatArray) -> dict[str, FloatArray]:
         since_s, long_s = sample_s - self.span_s[0], self.span_s[1] - self.span_s[0]
@@ -125,7 +131,7 @@ class Scene:
             "thermal_bias": die,
             "warm_up": np.exp(-since_s / warm_s),
             "bias_ramp": since_s - long_s / 2.0,
-            "bias_step": (since_s >= causes.get("bias_step", "at") * long_s).astype(np.float64),
+            "bias_step": self._since_event("bias_step", causes, sample_s),
             "supply_hum": np.sin(2.0 * np.pi * turns + causes.get("supply_hum", "phase")),
         }
         return {
@@ -135,20 +141,21 @@ class Scene:
         }
 
 
-def with_moves_of(session: SerialSession, causes: HiddenCauses, sign: float) -> SerialSession:
-    """Return a session with the moves' profiles changed by causes, or changed back (-1)."""
-    if not any(cause in causes.values for cause in CAUSES_OF_MOVES):
-        return session
+def with_moves_of(session: SerialSession, causes: HiddenCauses) -> SerialSession:
+    """Return a session whose moves have the profile that causes let them have.
+
+    The ramps are exactly as commanded otherwise: an error of their timer would be a cause.
+    """
     moves = []
     for move in session.moves:
         axis = AXES[move.axis]
-        share = (1.0 + causes.get("acceleration_error", axis)) ** sign
-        jump = sign * causes.get("base_speed_jump", axis) / RAD_PER_STEP
+        share = 1.0 + causes.get("acceleration_error", axis)
+        jump = causes.get("base_speed_jump", axis) / RAD_PER_STEP
         moves.append(
             replace(
                 move,
-                acceleration_steps_s2=move.acceleration_steps_s2 * share,
-                base_steps_s=move.base_steps_s + jump,
+                acceleration_steps_s2=session.ramp_steps_s2 * share,
+                base_steps_s=session.base_steps_s + jump,
             )
         )
     return replace(session, moves=tuple(moves))

@@ -79,7 +79,7 @@ def cause_noncentrality(visibility: Visibility, hiding: Hiding, size: float) -> 
 def cause_difference(visibility: Visibility, hiding: Hiding, size: float) -> FloatArray:
     """Return the whitened difference of one cause beside a calibration, (3 n - 3,)."""
     causes = causes_of([(hiding, size)])
-    if hiding.cause in ("clock_skew", "clock_step"):
+    if hiding.cause == "clock_skew":
         return visibility.projected(visibility.late(causes))
     return visibility.difference(visibility.scene.rates(causes))
 

@@ -6,7 +6,7 @@ import numpy as np
 from tests.bench.accuracy.board import factors
 from tests.bench.accuracy.noise import wander
 from tests.bench.accuracy.profile import FloatArray
-from tests.bench.rigs.gyroscope import CODES, g_matrix
+from tests.bench.rigs.gyroscope import CODES
 from tests.bench.rigs.prior_sizes import HiddenCauses
 from tests.bench.rigs.rig import SimulatedRig
 from tests.bench.rigs.samples import (
@@ -24,7 +24,6 @@ from tests.bench.rigs.samples import (
     StreamTruth,
 )
 from tests.hidden.independent.effects.effect import Effect
-from tests.hidden.independent.parts import RigParts
 from tests.hidden.independent.simulation import NO_EFFECT, GridRates, Scene, interpolated
 
 from gyrorig_protocol.program import MotionProgram
@@ -99,38 +98,26 @@ def _stream(
     counts = _corrupted(counts, causes.get("corrupt_samples"), rng)
     board_s = (ready_s + rng.uniform(0.0, 4000.0)) * (1.0 + parts.crystal_skew)
     arrival_s = parts.link.arrival_s(ready_s, rng)
-    event_s = begin_s + causes.get("clock_step", "at") * (end_s - begin_s)
-    host_s = (
-        arrival_s
-        + causes.get("clock_skew") * (arrival_s - 0.5 * (begin_s + end_s))
-        + causes.get("clock_step") * (arrival_s >= event_s)
-    )
+    # Another computer records the unit, and its clock has another rate.
+    host_s = arrival_s + causes.get("clock_skew") * (arrival_s - 0.5 * (begin_s + end_s))
     warming = parts.board(causes).warming
     shown_degc = warming.read_degc(ready_s - begin_s, end_s - begin_s)
     temperature = np.rint((shown_degc - TEMPERATURE_OFFSET_DEGC) / TEMPERATURE_QUANTUM_K)
     is_received = rng.uniform(size=count) >= causes.get("lost_samples")
     is_received[[0, -1]] = True
-    columns = (
-        np.maximum.accumulate(host_s),
-        np.floor(board_s * TICK_HZ).astype(np.int64) % 2**COUNTER_BITS,
-        np.arange(count, dtype=np.int64),
-        status,
-        temperature.astype(np.int64),
-        counts,
-        _accelerometer(scene, causes, ready_s, rng),
+    stream = BoardStream(
+        host_s=np.maximum.accumulate(host_s)[is_received],
+        ticks=(np.floor(board_s * TICK_HZ).astype(np.int64) % 2**COUNTER_BITS)[is_received],
+        number=np.flatnonzero(is_received),
+        status=status[is_received],
+        temperature=temperature.astype(np.int64)[is_received],
+        gyro=counts[is_received],
+        accel=_accelerometer(scene, causes, ready_s, rng)[is_received],
     )
-    host, ticks, number, status, temperatures, gyro, accel = (c[is_received] for c in columns)
-    return BoardStream(host, ticks, number, status, temperatures, gyro, accel), age
+    return stream, age
 
 
-def mean_force_bias_rad_s(scene: Scene, causes: HiddenCauses) -> FloatArray:
-    """Return the mean output that gravity causes, (3,)."""
-    return np.asarray(scene.motion(causes).gravity_m_s2.mean(axis=0) @ g_matrix(causes).T)
-
-
-def _repeated(
-    counts: IntArray, share: float, rng: np.random.Generator
-) -> tuple[IntArray, float]:
+def _repeated(counts: IntArray, share: float, rng: np.random.Generator) -> tuple[IntArray, float]:
     number = np.arange(counts.shape[0])
     is_old = rng.uniform(size=number.size) < share
     is_old[0] = False

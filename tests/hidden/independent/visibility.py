@@ -21,8 +21,14 @@ SHORT_S, ROUNDS = 2e-5, 5  # of the search for the best common delay
 JITTER_DRAWS = 60
 
 
-def coefficient_variances(parts: RigParts, count: int) -> FloatArray:
-    """Return the variance of the noise in each cosine coefficient but the mean's, (n - 1, 3)."""
+def coefficient_variances(parts: RigParts, count: int, has_white: bool = True) -> FloatArray:
+    """Return the variance of the noise in each cosine coefficient but the mean's, (n - 1, 3).
+
+    Args:
+        parts: of the rig.
+        count: samples.
+        has_white: whether the white noise in front of the low-pass is included.
+    """
     gyroscope = parts.gyroscope
     odr_hz = gyroscope.odr_hz
     f = np.arange(1, count) * odr_hz / (2.0 * count)
@@ -34,7 +40,7 @@ def coefficient_variances(parts: RigParts, count: int) -> FloatArray:
         np.array([getattr(level, name) for level in gyroscope.levels]) ** 2
         for name in ("white", "flicker", "walk")
     )
-    density = np.outer(folded, white) + np.outer(1.0 / (np.pi * f), flicker)
+    density = np.outer(folded, white * has_white) + np.outer(1.0 / (np.pi * f), flicker)
     density += np.outer(1.0 / (2.0 * (np.pi * f) ** 2), walk)
     density += parts.floor_rad_s_rthz**2 + gyroscope.quantum_rad_s**2 / (6.0 * odr_hz)
     return np.asarray(0.5 * odr_hz * density)
@@ -83,24 +89,15 @@ class Visibility:
         return self.scene.motion(NO_CAUSES)
 
     def late(self, causes: HiddenCauses) -> FloatArray:
-        """Return the difference that a clock makes whose lag changes, (n, 3), to first order."""
-        time_s = self.plain.sample_s
+        """Return the difference that a clock of another rate makes, (n, 3), to first order."""
         begin_s, end_s = self.scene.span_s
-        event_s = begin_s + causes.get("clock_step", "at") * (end_s - begin_s)
-        lag_s = causes.get("clock_skew") * (time_s - 0.5 * (begin_s + end_s))
-        lag_s = lag_s + causes.get("clock_step") * (time_s >= event_s)
+        lag_s = causes.get("clock_skew") * (self.plain.sample_s - 0.5 * (begin_s + end_s))
         return np.asarray(-self._slope * lag_s[:, None])
 
     def noncentrality(self, hidden: GridRates) -> float:
         """Return the non-centrality of what hidden causes change."""
         left = self.difference(hidden)
         return float(left @ left)
-
-    def absorbed(self, hidden: GridRates) -> float:
-        """Return the share of the energy that the calibration's parameters absorb."""
-        white = self.whitened(hidden.at() - self.plain.at())
-        whole = float(white @ white)
-        return 1.0 - min(self.noncentrality(hidden) / whole, 1.0) if whole > 0.0 else 0.0
 
     @cached_property
     def jitter(self) -> float:
@@ -117,24 +114,21 @@ class Visibility:
         whole = float(products.sum() - np.trace(products)) / pairs
         by_axis = (draws**2).reshape(JITTER_DRAWS, -1, 3).sum(axis=1).mean(axis=0)
         level = float((by_axis**2).sum()) / (draws.shape[1] / 3.0)
-        return 0.5 * max(whole - level, 0.0)
+        return float(0.5 * max(whole - level, 0.0))
 
     def scatter(self, amplitude: FloatArray) -> float:
         """Return the non-centrality of white noise whose amplitude changes with time.
 
+        It is twice the expected gain of the log-likelihood against a constant amplitude.
+
         Args:
             amplitude: relative to that at rest, at the samples, (n,).
         """
-        gyroscope, parts = self.scene.parts.gyroscope, self.scene.parts
-        white = np.array([level.white for level in gyroscope.levels]) ** 2
-        still = parts.floor_rad_s_rthz**2 + gyroscope.quantum_rad_s**2 / (6.0 * gyroscope.odr_hz)
-        total = 0.0
-        for axis in range(3):
-            share = white[axis] / (white[axis] + still)
-            added = np.log1p(share * (amplitude**2 - 1.0))
-            total += 0.5 * float(np.sum((added - added.mean()) ** 2))
-        # Beyond the bandwidth only the floor is left.
-        return total * min(1.0, 2.0 * gyroscope.bandwidth_hz / gyroscope.odr_hz)
+        quiet = coefficient_variances(self.scene.parts, self._count, has_white=False)
+        share = np.sqrt(np.mean((1.0 - quiet / self.variances) ** 2, axis=0))
+        profile = 1.0 + np.outer(amplitude**2 - 1.0, share)
+        gain = np.log(profile.mean(axis=0)) - np.log(profile).mean(axis=0)
+        return float(self._count * gain.sum())
 
     @cached_property
     def _slope(self) -> FloatArray:

@@ -56,6 +56,7 @@ class OutsideEffect:
         most: a larger size is not this effect any more.
         groups: covariates, one of which an explanation has to state.
         in_variance: whether it changes only the scatter.
+        near: a cause of the catalogue that it is a variety of.
     """
 
     name: str
@@ -66,8 +67,4 @@ class OutsideEffect:
     groups: tuple[str, ...]
     make: Callable[[Site], Effect]
     in_variance: bool = False
-
-
-def unit_vector_text(values: FloatArray) -> list[float]:
-    """Return a vector as plain numbers."""
-    return [float(value) for value in values]
+    near: str | None = None
