@@ -11,6 +11,7 @@ from gyrorig_solver.estimate.noise.noise_estimation import (
     noise_periodograms,
     resting_blocks,
 )
+from gyrorig_solver.estimate.noise.noise_floor import DIFFERENCE_ORDER, add_noise_floor
 from gyrorig_solver.estimate.noise.noise_model import (
     NoiseModel,
     Periodogram,
@@ -73,5 +74,9 @@ def fit_session_noise(
         resting_blocks(used, moving, session.sampling.rate_hz)
         for used, moving in zip(session.used, session.moving, strict=True)
     ]
-    differences = RestDifferences.of(session.residuals(gain), at_rest)
-    return SessionNoise(limit_to_rest(noise, differences), spectrum, source)
+    residuals = session.residuals(gain)
+    limited = limit_to_rest(noise, RestDifferences.of(residuals, at_rest))
+    if limited is noise:
+        differences = RestDifferences.of(residuals, at_rest, DIFFERENCE_ORDER)
+        limited = add_noise_floor(noise, spectrum, differences)
+    return SessionNoise(limited, spectrum, source)

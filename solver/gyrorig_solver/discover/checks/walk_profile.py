@@ -20,7 +20,6 @@ from gyrorig_solver.estimate import (
     nominal_levels,
     unit_densities,
 )
-from gyrorig_solver.estimate.noise.noise_model import quantum_density
 
 FLICKER, WALK = 1, 2  # which of a noise model's levels
 # Of the power of the L3G4200D's typical 4 mdps: parts differ by up to four times in amplitude. A
@@ -98,7 +97,7 @@ class _LevelGrid:
             shape[0] *= spectrum.white_power[:, axis]
         other_levels = noise.levels[axis].copy()
         other_levels[[FLICKER, WALK]] = 0.0
-        other_density = other_levels @ shape + quantum_density(noise.sampling)
+        other_density = other_levels @ shape + noise.flat_density[axis]
         log_walk = np.log(typical[WALK]) + shifts
         log_flicker = np.log(typical[FLICKER]) + shifts[::FLICKER_GRID_STEP]
         walk_density = np.exp(log_walk)[:, None] * shape[WALK]

@@ -2,19 +2,20 @@
 
 One-sided density of one axis, (rad/s)^2/Hz:
 
-    S(f) = N^2 W(f) + B^2/(pi f) + 2 K^2/(2 pi f)^2 + D^2 (2 pi f)^2 + q
+    S(f) = N^2 W(f) + B^2/(pi f) + 2 K^2/(2 pi f)^2 + D^2 (2 pi f)^2 + F + q
 
 N is the noise density as in data sheets (rms = N sqrt(bandwidth)), W the sensor's low-pass
 including all aliases of sampling and block means, B the bias instability (Allan floor 0.664 B) and
 K the rate random walk (variance grows as K^2 t), both as in IEEE Std 952, annex C, whose densities
-are two-sided. D is the white angle noise of a differentiated attitude reference, and q the
-quantisation density LSB^2/6 over the sample rate. In the orthonormal DCT-II of a uniform series at
-rate r, coefficient k belongs to f = k r/(2n) and has variance S(f) r/2. The transform makes a
-random walk nearly diagonal, so weighting by 1/variance whitens it.
+are two-sided. D is the white angle noise of a differentiated attitude reference, F a noise floor
+that arises behind the low-pass (see `noise_floor`), and q the quantisation density LSB^2/6 over the
+sample rate. In the orthonormal DCT-II of a uniform series at rate r, coefficient k belongs to f = k
+r/(2n) and has variance S(f) r/2. The transform makes a random walk nearly diagonal, so weighting by
+1/variance whitens it.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import lru_cache
 
 import numpy as np
@@ -93,11 +94,17 @@ class NoiseModel:
 
     levels: FloatArray  # (3, 4), squares: N^2, B^2, K^2, D^2
     sampling: Sampling
+    floor: FloatArray = field(default_factory=lambda: np.zeros(3))  # (3,), F
+
+    @property
+    def flat_density(self) -> FloatArray:
+        """The density that is equal at all frequencies, F + q, shape (3,)."""
+        return self.floor + quantum_density(self.sampling)
 
     def density(self, frequency_hz: FloatArray) -> FloatArray:
         """Return S(f) per axis, shape (k, 3)."""
         unit_density = unit_densities(frequency_hz, self.sampling)
-        return np.asarray(unit_density.T @ self.levels.T + quantum_density(self.sampling))
+        return np.asarray(unit_density.T @ self.levels.T + self.flat_density)
 
     def density_of_bins(self, spectrum: "Spectrum") -> FloatArray:
         """Return the density that is expected in a spectrum's bins, shape (k, 3)."""
@@ -119,7 +126,7 @@ class NoiseModel:
     def dct_variance(self, n: int) -> FloatArray:
         """Return the variance of each DCT coefficient of a series of n, shape (n, 3)."""
         unit_density = _dct_unit_densities(n, self.sampling)
-        density = unit_density.T @ self.levels.T + quantum_density(self.sampling)
+        density = unit_density.T @ self.levels.T + self.flat_density
         return np.asarray(density * self.sampling.rate_hz / 2.0, dtype=np.float64)
 
 
@@ -241,7 +248,7 @@ def fit_noise_levels(
         start = (
             nominal if initial_levels is None else np.maximum(initial_levels[axis], nominal * 1e-12)
         )
-        axis_levels = _fit_axis(
+        axis_levels = fit_axis_levels(
             power,
             spectrum.count,
             axis_unit_density[active],
@@ -265,7 +272,7 @@ def nominal_levels(white: float) -> FloatArray:
     )
 
 
-def _fit_axis(
+def fit_axis_levels(
     power: FloatArray,
     count: FloatArray,
     unit_density: FloatArray,

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 
 from gyrorig_solver.data import BoolArray, FloatArray
 from gyrorig_solver.estimate.noise.noise_model import (
@@ -32,21 +33,34 @@ class RestDifferences:
 
     sum_of_squares: FloatArray  # (3,)
     count: int
+    order: int = 1  # 2: differences of differences, and so on
 
     @classmethod
-    def of(cls, residuals: Sequence[FloatArray], at_rest: Sequence[BoolArray]) -> "RestDifferences":
-        """Return the differences of successive blocks that are both at rest.
+    def of(
+        cls, residuals: Sequence[FloatArray], at_rest: Sequence[BoolArray], order: int = 1
+    ) -> "RestDifferences":
+        """Return the differences of successive blocks that are all at rest.
 
         Args:
             residuals: of each series, (n, 3).
             at_rest: of each series, (n,), without the time in which the unit settles.
+            order: of the differences.
         """
         total, count = np.zeros(3), 0
         for residual, rest in zip(residuals, at_rest, strict=True):
-            pairs = rest[1:] & rest[:-1]
-            total += np.sum(np.diff(residual, axis=0)[pairs] ** 2, axis=0)
-            count += int(pairs.sum())
-        return cls(total, count)
+            if rest.size <= order:
+                continue
+            all_rest = np.all(sliding_window_view(rest, order + 1), axis=1)
+            total += np.sum(np.diff(residual, order, axis=0)[all_rest] ** 2, axis=0)
+            count += int(all_rest.sum())
+        return cls(total, count, order)
+
+    def predict_power(self, noise: NoiseModel) -> FloatArray:
+        """Return the mean square of the differences that a noise model predicts, shape (3,)."""
+        width_hz = noise.sampling.rate_hz / 2.0 / FREQUENCY_BINS
+        frequency_hz = np.asarray((np.arange(FREQUENCY_BINS) + 0.5) * width_hz, dtype=np.float64)
+        response = (4.0 * np.sin(np.pi * frequency_hz / noise.sampling.rate_hz) ** 2) ** self.order
+        return np.asarray(response @ noise.density(frequency_hz) * width_hz, dtype=np.float64)
 
     @property
     def power(self) -> FloatArray:
