@@ -33,6 +33,7 @@ from tests.hidden.truth.outside import SHAPES
 
 from gyrorig_daemon.emulator.injection import CAUSES
 
+pytestmark = pytest.mark.long
 PROGRAM = "survey-40"
 
 

@@ -4,6 +4,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import pytest
 from tests.hidden.truth import make
 from tests.support.board_fits import fit_base_model
 
@@ -28,6 +29,7 @@ def test_two_names_that_imitate_one_function_of_the_time_are_rejected(tmp_path: 
     assert findings.unexplained.leading.covariate == "bias_time"
 
 
+@pytest.mark.long
 def test_two_true_causes_that_change_the_bias_over_time_keep_their_names(
     hidden: Callable[..., Any],
 ) -> None:
