@@ -42,7 +42,12 @@ def answer(*causes: tuple[str, float], kind: str = "one", **changes: Any) -> Ans
 
 
 def named(*names: str, gap: float = 0.001) -> dict[str, Any]:
-    return {"set": list(names), "values": {"gap.tilt": [gap, 1e-4]}, "sizes": ["gap.tilt"]}
+    return {
+        "set": list(names),
+        "values": {"gap.tilt": [gap, 1e-4]},
+        "sizes": ["gap.tilt"],
+        "posterior": 1.0,
+    }
 
 
 def judged(sealed_answer: Answer, *causes: dict[str, Any], **line: Any) -> Outcome:

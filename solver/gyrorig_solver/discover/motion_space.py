@@ -72,13 +72,13 @@ class MotionFitSpace(FitSpace):
 
         A cause that changes the motion law is taken out by a fit under the other law.
         """
-        kept = [term for j, term in enumerate(self.fitted_terms) if j not in dropped]
+        others = [term for j, term in enumerate(self.fitted_terms) if j not in dropped]
         removed = [self.fitted_terms[k] for k in dropped]
         if any(self.changes_law(fitted_term.term) for fitted_term in removed):
-            without = self.refit(kept)
+            without = self.refit(others)
             if without.convergence.converged:
                 return without.projector()
-        return NuisanceProjector.at_fit(self.solution, kept, removed)
+        return NuisanceProjector.at_fit(self.solution, others, removed)
 
     def refit(
         self, fitted_terms: Sequence[FittedTerm], max_evaluations: int = MAX_EVALUATIONS

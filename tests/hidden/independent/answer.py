@@ -142,13 +142,13 @@ def _board(session: Session, recorded: Recorded) -> dict[str, Any]:
 def _unmodelled(session: Session) -> dict[str, Any]:
     """Return how visible the filter's order is, and how unusual the noise is."""
     visibility, parts = session.visibility, session.scene.parts
-    found = low_pass_noncentrality(visibility)
+    noncentrality = low_pass_noncentrality(visibility)
     levels = parts.gyroscope.levels
     ratios = [level.flicker / level.white / ORDINARY_FLICKER for level in levels]
     return {
         "low_pass": parts.low_pass.kind,
-        "low_pass_noncentrality": found,
-        "low_pass_times": math.sqrt(found / detectable_of("low_pass_lag")),
+        "low_pass_noncentrality": noncentrality,
+        "low_pass_times": math.sqrt(noncentrality / detectable_of("low_pass_lag")),
         "flicker_ratio": max(ratios),
         "floor_share": parts.floor_rad_s_rthz / max(level.white for level in levels),
         "link": parts.link.kind,

@@ -201,12 +201,12 @@ def _settled(session: Session) -> Session:
 def _refitted(visibility: Visibility, cause: HiddenCause) -> HiddenCause:
     if cause.hiding.cause in COUNTED:
         return cause
-    found = cause_noncentrality(visibility, cause.hiding, cause.sized.size)
-    if abs(found / cause.sized.noncentrality - 1.0) > RUNG_WIDTH:
+    noncentrality = cause_noncentrality(visibility, cause.hiding, cause.sized.size)
+    if abs(noncentrality / cause.sized.noncentrality - 1.0) > RUNG_WIDTH:
         sized = size_of_cause(visibility, cause.hiding, cause.times)
         if sized is not None:
             return replace(cause, sized=sized)
-    return replace(cause, sized=Sized(cause.sized.size, found))
+    return replace(cause, sized=Sized(cause.sized.size, noncentrality))
 
 
 def _restated(session: Session) -> Session:
@@ -214,8 +214,8 @@ def _restated(session: Session) -> Session:
     causes = []
     for cause in session.causes:
         if cause.hiding.cause not in COUNTED:
-            found = cause_noncentrality(session.visibility, cause.hiding, cause.sized.size)
-            cause = replace(cause, sized=Sized(cause.sized.size, found))  # noqa: PLW2901
+            noncentrality = cause_noncentrality(session.visibility, cause.hiding, cause.sized.size)
+            cause = replace(cause, sized=Sized(cause.sized.size, noncentrality))  # noqa: PLW2901
         causes.append(cause)
     return replace(session, causes=tuple(causes))
 

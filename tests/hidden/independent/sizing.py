@@ -47,10 +47,10 @@ def size_for(
     best: tuple[float, Sized] | None = None
     before: tuple[float, float] | None = None
     for _ in range(ROUNDS):
-        found = seen(float(np.exp(x)))
-        y = float(np.log(max(found, 1e-12)))
+        noncentrality = seen(float(np.exp(x)))
+        y = float(np.log(max(noncentrality, 1e-12)))
         if best is None or abs(y - aim) < best[0]:
-            best = abs(y - aim), Sized(float(np.exp(x)), found)
+            best = abs(y - aim), Sized(float(np.exp(x)), noncentrality)
         if best[0] < NEAR or (y < aim and x >= top - 1e-12):
             break
         slope = 2.0

@@ -152,5 +152,5 @@ class Visibility:
         norms = np.linalg.norm(columns, axis=0)
         columns = columns[:, norms > 0.0] / norms[norms > 0.0]
         values, vectors = np.linalg.eigh(columns.T @ columns)
-        kept = values > WEAKEST * values.max()
-        return np.asarray(columns @ (vectors[:, kept] / np.sqrt(values[kept])))
+        is_strong = values > WEAKEST * values.max()
+        return np.asarray(columns @ (vectors[:, is_strong] / np.sqrt(values[is_strong])))

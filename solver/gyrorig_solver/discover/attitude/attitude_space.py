@@ -181,8 +181,8 @@ class AttitudeFitSpace(FitSpace):
 
     def projector_without(self, *dropped: int) -> NuisanceProjector:
         """Return the projector with some causes taken out, their effects added back."""
-        kept = [term for j, term in enumerate(self.fitted_terms) if j not in dropped]
-        return self.base.with_terms(kept)
+        others = [term for j, term in enumerate(self.fitted_terms) if j not in dropped]
+        return self.base.with_terms(others)
 
     def refit(
         self, fitted_terms: Sequence[FittedTerm], max_evaluations: int = MAX_EVALUATIONS

@@ -6,6 +6,7 @@ the residual has too much power there, and a spectral line, jitter of the sample
 motors would be named instead. A recording has a floor in its model only if
 
  * the likelihood of the spectra of all axes together rises by more than `MIN_GAIN_NATS`, and
+ * each floor is smaller than the white noise in the pass band, and
  * the noise at rest does not contradict it. Jitter also adds noise at all frequencies, but only in
    motion. Third differences of successive samples weight the highest frequencies most.
 
@@ -28,6 +29,8 @@ from gyrorig_solver.estimate.noise.rest_noise import MIN_PAIRS, RestDifferences
 # Chi-square 16 for three sizes: one false floor in 900 recordings.
 MIN_GAIN_NATS = 8.0
 NOMINAL_SHARE = 0.05  # centre of the prior, relative to the white noise in the pass band
+# Of the white noise in the pass band. A larger floor is a low-pass that the sensor does not have.
+MAX_SHARE = 1.0
 DIFFERENCE_ORDER = 3
 # Variance of the logarithm of the power of third differences of white noise, times their number;
 # from 4000 draws.
@@ -51,7 +54,8 @@ def add_noise_floor(
     for axis in range(3):
         fitted = _fit_with_floor(fitted, spectrum, axis)
     gain_nats = _log_likelihood(spectrum, fitted) - _log_likelihood(spectrum, noise)
-    if gain_nats < MIN_GAIN_NATS or _is_contradicted(fitted, differences):
+    is_small = bool(np.all(fitted.floor <= MAX_SHARE * fitted.levels[:, 0]))
+    if gain_nats < MIN_GAIN_NATS or not is_small or _is_contradicted(fitted, differences):
         return noise
     return fitted
 

@@ -43,7 +43,7 @@ class FrictionWindUp(Effect):
         """Return the angle of the stage, by semi-implicit steps of time."""
         w = FULL_TURN_RAD * self.mode_hz
         stiffness, friction = w * w * step_s, w * w * wind_up_rad * step_s
-        kept = 1.0 / (1.0 + 2.0 * self.damping * w * step_s)
+        damping_factor = 1.0 / (1.0 + 2.0 * self.damping * w * step_s)
         where, speed, moved_at = motor_rad[0], 0.0, -1
         longest = int(AFTER_S / step_s)
         out = [where]
@@ -53,7 +53,7 @@ class FrictionWindUp(Effect):
             if speed == 0.0 and k - moved_at > longest:
                 out.append(where)
                 continue
-            free = (speed + stiffness * (motor_rad[k] - where)) * kept
+            free = (speed + stiffness * (motor_rad[k] - where)) * damping_factor
             # Dry friction stops the stage, and does not turn it round.
             speed = copysign(max(abs(free) - friction, 0.0), free)
             where += speed * step_s
