@@ -15,13 +15,14 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 from docs.blocks import write_or_check
 from docs.markdown import Block
-from tests.hidden.scoring import complete, once, tables
+from tests.hidden.scoring import complete, once, reliability, simulators, tables
 from tests.hidden.scoring.kept import JudgedCases, read_judged_cases
 from tests.hidden.scoring.picture import confusion_picture
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 DOCUMENT = DOCS / "discovery-scores.md"
 RESULTS = DOCS / "discovery" / "results.json"
+INDEPENDENT = DOCS / "discovery" / "independent.json"
 MULTIPLICITY = DOCS / "discovery" / "multiplicity.json"
 COMPLETENESS = DOCS / "discovery" / "completeness.json"
 PICTURE = DOCS / "img" / "confusion.svg"
@@ -31,6 +32,12 @@ PICTURE = DOCS / "img" / "confusion.svg"
 def read_judged() -> JudgedCases:
     """Return the results of the last run of the long tier."""
     return read_judged_cases(RESULTS)
+
+
+@cache
+def read_independent() -> JudgedCases:
+    """Return the results of the sessions of the second simulator."""
+    return read_judged_cases(INDEPENDENT)
 
 
 @cache
@@ -50,6 +57,9 @@ BLOCKS: dict[str, Block] = {
     "goals": lambda: tables.goals(
         read_judged().outcomes, read_judged().gaps, read_judged().bounds, measured()
     ),
+    "independent": lambda: simulators.compare_simulators(
+        read_judged().outcomes, read_independent().outcomes
+    ),
     "nulls": lambda: tables.nulls(read_judged().outcomes),
     "looks": lambda: once.counted(measured()),
     "once": lambda: once.table_text(measured()),
@@ -61,6 +71,9 @@ BLOCKS: dict[str, Block] = {
     "many": lambda: tables.many(read_judged().outcomes),
     "gaps": lambda: tables.gaps(read_judged().gaps),
     "complete": lambda: complete.table_text(complete.read(COMPLETENESS)),
+    "reliability": lambda: reliability.table_text(
+        [each for outcome in read_judged().outcomes for each in outcome.beliefs]
+    ),
     "covered": lambda: tables.covered(read_judged().outcomes),
     "harm": lambda: tables.harm(read_judged().outcomes),
     "seconds": lambda: tables.seconds(read_judged().outcomes),

@@ -88,11 +88,12 @@ def goals(
         if np.isnan(figure.value):
             verdict = "not measured"
         value = _value(goal, figure.value)
-        rows.append((str(goal.number), goal.words, _bar(goal), value, figure.words, verdict))
+        rows.append((str(goal.number), goal.words, limit_text(goal), value, figure.words, verdict))
     return table(("no.", "goal", "limit", "result", "derivation of the result", "verdict"), rows)
 
 
-def _bar(goal: Goal) -> str:
+def limit_text(goal: Goal) -> str:
+    """Return the limit of a goal."""
     low, high = (None if v is None else _value(goal, v) for v in (goal.low, goal.high))
     if low is not None and high is not None:
         return f"{low} to {high}"
