@@ -37,7 +37,9 @@ from gyrorig_protocol.program import parse_program
 
 RIG = RigDraw(77, "quick", 0.0, *LINES[3])
 TRUTH = Path(__file__).parent / "truth"
-NONCENTRALITY = ROOT / "tests" / "support" / "noncentrality.py"
+SHARED = tuple(
+    ROOT / "tests" / "support" / f"{name}.py" for name in ("noncentrality", "sealed_answer")
+)
 
 
 def imported(file: Path) -> set[str]:
@@ -52,9 +54,9 @@ def imported(file: Path) -> set[str]:
 
 
 def test_the_truth_imports_nothing_of_the_finder() -> None:
-    shared = "tests.support.noncentrality"
-    ours = ("gyrorig_daemon", "gyrorig_protocol", "tests.hidden.truth", shared)
-    for file in (*TRUTH.rglob("*.py"), NONCENTRALITY):
+    shared = tuple(f"tests.support.{file.stem}" for file in SHARED)
+    ours = ("gyrorig_daemon", "gyrorig_protocol", "tests.hidden.truth", *shared)
+    for file in (*TRUTH.rglob("*.py"), *SHARED):
         for module in imported(file):
             inside = module.startswith(("gyrorig", "tests"))
             assert not inside or module.startswith(ours) or module == "tests.hidden", (file, module)

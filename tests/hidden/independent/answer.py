@@ -4,10 +4,7 @@ The schema is that of `tests.hidden.truth.answer`. The section `unmodelled` is n
 much the rig differs from what the solver assumes although nothing is hidden.
 """
 
-import hashlib
-import json
 import math
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -63,15 +60,6 @@ def answer_of(session: Session, recorded: Recorded) -> dict[str, Any]:
         "unmodelled": _unmodelled(session),
         "truth": {"boards": {BOARD: _board(session, recorded)}},
     }
-
-
-def seal(folder: Path, document: dict[str, Any]) -> str:
-    """Write an answer and its seal; return the SHA-256 of the answer's bytes."""
-    data = (json.dumps(document, indent=1, allow_nan=False) + "\n").encode()
-    sealed = hashlib.sha256(data).hexdigest()
-    (folder / "answer.json").write_bytes(data)
-    (folder / "sealed.txt").write_text(sealed + "\n", encoding="ascii")
-    return sealed
 
 
 def _cause(cause: HiddenCause, alone: float | None) -> dict[str, Any]:

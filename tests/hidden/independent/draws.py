@@ -166,7 +166,7 @@ def _scene(parts: RigParts, program: MotionProgram, causes: HiddenCauses) -> Sce
 def _drawn_causes(
     visibility: Visibility, rng: np.random.Generator, wanted_times: Sequence[float]
 ) -> tuple[HiddenCause, ...]:
-    """Return different causes; one that needs too large a size is drawn anew."""
+    """Return different causes; one that needs too large a size is replaced."""
     chosen: list[HiddenCause] = []
     for name in rng.permutation(HIDEABLE).tolist():
         if len(chosen) == len(wanted_times):
@@ -210,7 +210,7 @@ def _refitted(visibility: Visibility, cause: HiddenCause) -> HiddenCause:
 
 
 def _restated(session: Session) -> Session:
-    """Return a session whose non-centralities are those of its own moves."""
+    """Return a session with the non-centralities computed for its own moves."""
     causes = []
     for cause in session.causes:
         if cause.hiding.cause not in COUNTED:

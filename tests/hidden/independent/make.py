@@ -21,10 +21,11 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 sys.path.insert(0, str(Path(__file__).resolve().parents[3]))
 
 from tests.bench.rigs.recording_file import write_recording
-from tests.hidden.independent.answer import answer_of, seal
+from tests.hidden.independent.answer import answer_of
 from tests.hidden.independent.draws import RUNGS, TIERS, Session, drawn
 from tests.hidden.independent.parts import FILTERS
 from tests.hidden.independent.stream import recorded
+from tests.support.sealed_answer import seal
 
 
 def make(folder: Path, session: Session) -> str:

@@ -66,12 +66,12 @@ class Visibility:
         return np.asarray((coefficients / np.sqrt(self.variances)).ravel())
 
     def projected(self, rows_rad_s: FloatArray) -> FloatArray:
-        """Return what is left of a signal beside the parameters of a calibration, (3 n - 3,)."""
+        """Return a signal without what the calibration parameters explain, (3 n - 3,)."""
         white = self.whitened(rows_rad_s)
         return np.asarray(white - self._basis @ (self._basis.T @ white))
 
     def difference(self, hidden: GridRates, plain: GridRates | None = None) -> FloatArray:
-        """Return what is left of a difference, at the common delay that fits best."""
+        """Return a difference without its best common delay and the other parameters."""
         reference = plain or self.plain
         rates, shift_s = hidden.at(), 0.0
         slope = self.whitened(self._slope)

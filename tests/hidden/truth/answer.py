@@ -1,9 +1,6 @@
 """The answer to a session: what is hidden, sealed before a finder sees the recording."""
 
-import hashlib
-import json
 import math
-from pathlib import Path
 from typing import Any
 
 from tests.hidden.truth.detectable import detectable_of, sizes_of
@@ -60,15 +57,6 @@ def answer_of(session: Session, recorded: RecordedSession, sizer: Sizer) -> dict
         "power_up_raw_ns": ORIGIN_NS,
         "truth": truth,
     }
-
-
-def seal(folder: Path, document: dict[str, Any]) -> str:
-    """Write an answer and what binds it; return the SHA-256 of the answer's bytes."""
-    data = (json.dumps(document, indent=1, allow_nan=False) + "\n").encode()
-    sealed = hashlib.sha256(data).hexdigest()
-    (folder / "answer.json").write_bytes(data)
-    (folder / "sealed.txt").write_text(sealed + "\n", encoding="ascii")
-    return sealed
 
 
 def _cause(

@@ -24,11 +24,12 @@ from pathlib import Path
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 sys.path.insert(0, str(Path(__file__).resolve().parents[3]))
 
-from tests.hidden.truth.answer import answer_of, seal
+from tests.hidden.truth.answer import answer_of
 from tests.hidden.truth.decoys import hot_truth, with_idle_channel
 from tests.hidden.truth.draws import TIERS, Session, drawn, on_rung, orders_of, seen_by
 from tests.hidden.truth.session import BOARD, ORIGIN_NS, RecordedSession, record, settings_of
 from tests.hidden.truth.sizing import COUNTED, IN_VARIANCE, Sizer
+from tests.support.sealed_answer import seal
 
 from gyrorig_daemon.emulator.emulated_rig import EmulatedRig
 from gyrorig_daemon.emulator.noise_free_rates import RigTwin, write_rates

@@ -35,7 +35,7 @@ class Effect:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Site:
-    """What an effect is made from; the generator begins anew each time."""
+    """The draws of an effect; the generator starts with the same seed each time."""
 
     size: float
     rng: np.random.Generator
