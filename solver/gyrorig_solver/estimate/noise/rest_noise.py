@@ -57,8 +57,9 @@ class RestDifferences:
 
     def predict_power(self, noise: NoiseModel) -> FloatArray:
         """Return the mean square of the differences that a noise model predicts, shape (3,)."""
-        frequency_hz, weights = _difference_weights(noise.sampling, self.order)
-        return np.asarray(weights @ noise.density(frequency_hz), dtype=np.float64)
+        frequency_hz, response = _difference_response(noise.sampling, self.order)
+        power = response @ noise.density(frequency_hz) * _bin_width_hz(noise.sampling)
+        return np.asarray(power, dtype=np.float64)
 
     @property
     def power(self) -> FloatArray:
@@ -94,16 +95,17 @@ def limit_to_rest(noise: NoiseModel, differences: RestDifferences) -> NoiseModel
 
 def _unit_difference_power(sampling: Sampling) -> FloatArray:
     """Return the mean square of differences of successive blocks by each unit process, (4,)."""
-    frequency_hz, weights = _difference_weights(sampling, 1)
-    return np.asarray(unit_densities(frequency_hz, sampling) @ weights)
+    frequency_hz, response = _difference_response(sampling, 1)
+    return np.asarray(unit_densities(frequency_hz, sampling) @ response * _bin_width_hz(sampling))
 
 
-def _difference_weights(sampling: Sampling, order: int) -> tuple[FloatArray, FloatArray]:
-    """Return frequencies, and weights with which a density adds up to the power of differences.
+def _difference_response(sampling: Sampling, order: int) -> tuple[FloatArray, FloatArray]:
+    """Return frequencies and the power gain of differences of successive blocks, (k,) each."""
+    bins = np.arange(FREQUENCY_BINS) + 0.5
+    frequency_hz = np.asarray(bins * _bin_width_hz(sampling), dtype=np.float64)
+    first = 4.0 * np.sin(np.pi * frequency_hz / sampling.rate_hz) ** 2
+    return frequency_hz, np.asarray(first**order, dtype=np.float64)
 
-    Both have the shape (k,).
-    """
-    width_hz = sampling.rate_hz / 2.0 / FREQUENCY_BINS
-    frequency_hz = np.asarray((np.arange(FREQUENCY_BINS) + 0.5) * width_hz, dtype=np.float64)
-    response = (4.0 * np.sin(np.pi * frequency_hz / sampling.rate_hz) ** 2) ** order
-    return frequency_hz, np.asarray(response * width_hz, dtype=np.float64)
+
+def _bin_width_hz(sampling: Sampling) -> float:
+    return sampling.rate_hz / 2.0 / FREQUENCY_BINS
