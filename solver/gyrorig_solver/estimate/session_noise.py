@@ -75,8 +75,10 @@ def fit_session_noise(
         for used, moving in zip(session.used, session.moving, strict=True)
     ]
     residuals = session.residuals(gain)
-    limited = limit_to_rest(noise, RestDifferences.of(residuals, at_rest))
-    if limited is noise:
-        differences = RestDifferences.of(residuals, at_rest, DIFFERENCE_ORDER)
-        limited = add_noise_floor(noise, spectrum, differences)
-    return SessionNoise(limited, spectrum, source)
+    differences = RestDifferences.of(residuals, at_rest)
+    high_differences = RestDifferences.of(residuals, at_rest, DIFFERENCE_ORDER)
+    with_floor = add_noise_floor(noise, spectrum, high_differences)
+    # A floor is a part of the noise at rest. Without it, the white noise there seems too large.
+    if limit_to_rest(with_floor, differences) is not with_floor:
+        return SessionNoise(limit_to_rest(noise, differences), spectrum, source)
+    return SessionNoise(with_floor, spectrum, source)

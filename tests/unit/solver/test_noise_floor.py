@@ -18,7 +18,7 @@ from gyrorig_solver.estimate.noise.noise_model import (
     fit_noise_levels,
     nominal_levels,
 )
-from gyrorig_solver.estimate.noise.rest_noise import RestDifferences
+from gyrorig_solver.estimate.noise.rest_noise import RestDifferences, limit_to_rest
 
 COUNT, WHITE = 4000, 2.5e-7
 SAMPLING = Sampling(100.0, 1, 25.0, 1e-6, differentiated=False)
@@ -80,6 +80,21 @@ def test_noise_that_appears_in_motion_only_is_no_floor() -> None:
     residual += np.where(AT_REST[:, None], 0.0, scale * flat)
     noise, fitted = fit(residual)
     assert fitted is noise
+
+
+def test_a_floor_belongs_to_the_noise_at_rest() -> None:
+    # Behind a narrow low-pass, most of the difference of two samples is the floor.
+    sampling = replace(SAMPLING, bandwidth_hz=12.5)
+    true = NoiseModel(PLAIN.levels, sampling, floor=np.full(3, 0.3 * WHITE))
+    residual = draw_noise(true, 1)
+    spectrum = bin_spectrum([Periodogram.of(residual, sampling.rate_hz)])
+    noise = fit_noise_levels(spectrum, sampling)
+    high = RestDifferences.of([residual], [AT_REST], DIFFERENCE_ORDER)
+    fitted = add_noise_floor(noise, spectrum, high)
+    differences = RestDifferences.of([residual], [AT_REST])
+    assert limit_to_rest(fitted, differences) is fitted
+    without = replace(fitted, floor=np.zeros(3))
+    assert limit_to_rest(without, differences) is not without
 
 
 def test_a_sensor_without_a_low_pass_has_no_separate_floor() -> None:

@@ -83,8 +83,9 @@ def limit_to_rest(noise: NoiseModel, differences: RestDifferences) -> NoiseModel
     nominal = nominal_levels(1.0)
     nominal[3] = 0.0  # of attitudes only
     quantum_power = quantum_density(noise.sampling) * noise.sampling.rate_hz
+    flat_power = quantum_power + noise.floor * noise.sampling.rate_hz
     unit_power = float(nominal @ _unit_difference_power(noise.sampling))
-    white_at_rest = np.maximum(differences.power - quantum_power, quantum_power) / unit_power
+    white_at_rest = np.maximum(differences.power - flat_power, quantum_power) / unit_power
     log_ratio = np.log(np.maximum(noise.levels[:, 0], 1e-300) / white_at_rest)
     contradicts = np.abs(log_ratio) > np.log(MAX_POWER_RATIO)
     if not contradicts.any():
