@@ -3,6 +3,8 @@
 import pytest
 from tests.hidden.twin_of_fit import share_of
 
+pytestmark = pytest.mark.long
+
 LARGEST_SHARE = 0.005  # of the effect
 
 

@@ -20,6 +20,7 @@ def words_in(text: str) -> list[str]:
     return [hit.text for hit in page_hits("page.md", text, Words())]
 
 
+@pytest.mark.long  # `make check` does the same
 def test_no_file_has_more_private_words_than_recorded() -> None:
     new = find_new(find_all(), known_counts())
     assert not [f"{hit.path}:{hit.line}: {hit.text!r}; use: {hit.instead}" for hit in new]

@@ -51,6 +51,7 @@ def test_any_axis_might_have_been_the_one(hidden: Callable[..., Any]) -> None:
     assert dependence.p_value == pytest.approx(min(1.0, 3.0 * alone), rel=1e-9, abs=0.0)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("flicker", [1.0, 2.7, 8.0])
 def test_flicker_of_other_parts_is_no_random_walk(
     hidden: Callable[..., Any], flicker: float

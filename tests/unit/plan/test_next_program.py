@@ -25,6 +25,8 @@ from gyrorig_solver.plan.program_timeline import simulate_program
 from gyrorig_solver.plan.separation import recorded_unit
 from gyrorig_solver.plan.separation.next_program import _needed_nats
 
+pytestmark = pytest.mark.long
+
 RIG = Path(__file__).parents[3] / "config" / "rig.yaml"
 HIDDEN = InjectionRequest("scale_quadratic", "z", 4e-4)
 SECOND_SEED = 500_001

@@ -24,6 +24,8 @@ from gyrorig_solver.model import RecordingContext
 from gyrorig_solver.reference import read_attitude
 
 SPAN_S, GYRO_HZ, CAMERA_HZ, LAG_S = 90.0, 200.0, 100.0, 0.004
+pytestmark = pytest.mark.long
+
 REST_S = 12.0  # at both ends
 Maker = Callable[..., GyroSamples]
 

@@ -16,6 +16,8 @@ from gyrorig_solver.model import factorise
 from gyrorig_solver.pipeline import solve_and_store
 from gyrorig_solver.pipeline.explain_board import build_document, explain_board
 
+pytestmark = pytest.mark.long
+
 CUBIC = 0.002  # s^2/rad^2
 GYRO = SimulatedGyro()
 CUBIC_GYRO = SimulatedGyro(error=lambda _time, rate, _force: CUBIC * rate**3)
