@@ -47,7 +47,9 @@ class BoardTruth:
     def to_document(self) -> dict[str, Any]:
         """Return plain values with units in the names."""
         imu = self.imu
+        floor = imu.noise_floor_rad_s_rthz
         return {
+            **({"noise_floor_rad_s_rthz": floor.tolist()} if floor.any() else {}),
             "scale": self.scale.diagonal().tolist(),
             "T": self.nonorthogonality.tolist(),
             "M": imu.mounting.tolist(),

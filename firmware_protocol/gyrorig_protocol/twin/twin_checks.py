@@ -26,6 +26,7 @@ UNITS = {
     "noise_density": "rad/s/sqrt(Hz)",
     "bias_instability": "rad/s",
     "rate_random_walk": "rad/s/sqrt(s)",
+    "noise_floor": "rad/s/sqrt(Hz)",
     "odr": "Hz",
     "bandwidth": "Hz",
     "full_scale": "rad/s",
@@ -208,7 +209,7 @@ def _check_board(board: TwinBoard, place: str, error: type[GyrorigError]) -> Non
         quantity: Scalar | None = getattr(board, key)
         if quantity is not None and quantity.value <= 0.0:
             raise error(f"{place}: {key} is not positive", "write a positive value")
-    for key in ("noise_density", "bias_instability", "rate_random_walk"):
+    for key in ("noise_density", "bias_instability", "rate_random_walk", "noise_floor"):
         levels: Vector | None = getattr(board, key)
         if levels is not None and min(levels.value) < 0.0:
             raise error(f"{place}: {key} is negative", "write levels of 0 or more")

@@ -145,6 +145,7 @@ class TwinBoard(_Part, frozen=True):
     noise_density: Vector | None = None  # rad/s/sqrt(Hz), one-sided
     bias_instability: Vector | None = None  # rad/s
     rate_random_walk: Vector | None = None  # rad/s/sqrt(s)
+    noise_floor: Vector | None = None  # rad/s/sqrt(Hz), one-sided, behind the low-pass; None: 0
     odr: Scalar | None = None  # Hz, true, by the host's clock
     bandwidth: Scalar | None = None  # Hz, as configured
     full_scale: Scalar | None = None  # rad/s, as configured

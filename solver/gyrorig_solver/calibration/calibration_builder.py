@@ -191,6 +191,8 @@ def _noise(fit: GyroFit) -> dict[str, NoiseFigure]:
             for state, white in fit.noise.white_by_motor_state.items()
         },
     }
+    if fit.noise.noise_floor is not None:
+        figures["noise_floor"] = (fit.noise.noise_floor, "rad/s/sqrt(Hz)")
     return {
         name: NoiseFigure(value=finite_values(values), unit=unit)
         for name, (values, unit) in figures.items()

@@ -38,6 +38,7 @@ class NoiseLevels:
     # White noise while the stage, pan or tilt moves, by "in_motion", "pan_motion", "tilt_motion";
     # empty if it is the same as at rest.
     white_by_motor_state: Mapping[str, FloatArray] = field(default_factory=dict)
+    noise_floor: FloatArray | None = None  # rad/s/sqrt(Hz), one-sided, behind the low-pass
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -298,7 +298,8 @@ def _mean_temperature_degc(samples: GyroSamples) -> float | None:
 
 
 def _noise_levels(solution: ConvergedFit) -> NoiseLevels:
-    levels = np.sqrt(solution.noises[-1].levels)
+    noise = solution.noises[-1]
+    levels = np.sqrt(noise.levels)
     return NoiseLevels(
         angle_random_walk=levels[:, 0],
         bias_instability=levels[:, 1],
@@ -308,6 +309,7 @@ def _noise_levels(solution: ConvergedFit) -> NoiseLevels:
             state: levels[:, 0] * ratio
             for state, ratio in solution.sessions[-1].noise_ratios().items()
         },
+        noise_floor=np.sqrt(noise.floor) if noise.floor.any() else None,
     )
 
 

@@ -3,6 +3,7 @@
 What to use when: `draw_figures` for all figures of a fit. The page omits empty ones.
 """
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -135,6 +136,8 @@ def allan_figure(data: FitDiagnostics, noise: Mapping[str, Sequence[float | None
         coefficients = [noise[name][axis] if noise.get(name) else None for name in names]
         if coefficients[0] is None:
             continue
+        floor = noise["noise_floor"][axis] if noise.get("noise_floor") else None
+        coefficients[0] = math.hypot(coefficients[0], floor or 0.0)
         modelled = np.degrees(integration_error.modelled_allan_deviation(tau_s, *coefficients))
         label = "noise model" if axis == 0 else ""
         panel.plot(tau_s, modelled, colour=SOFT, linewidth=1.0, linestyle="--", label=label)

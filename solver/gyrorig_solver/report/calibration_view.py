@@ -54,6 +54,7 @@ _NOISE_ROWS = (  # name in the document, name shown, factor, unit
         DEG_PER_RAD,
         "deg/s/√Hz, one-sided",
     ),
+    ("noise_floor", "noise floor behind the low-pass", DEG_PER_RAD, "deg/s/√Hz, one-sided"),
     ("bias_instability", "bias instability", 3600.0 * DEG_PER_RAD, "deg/h"),
     ("rate_random_walk", "rate random walk", DEG_PER_RAD, "deg/s²/√Hz"),
 )

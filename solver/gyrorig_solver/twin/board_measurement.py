@@ -25,7 +25,7 @@ from gyrorig_solver.pipeline import BoardData, CriticisedFit
 from gyrorig_solver.twin.joint_covariance import session_wander_rad_s
 from gyrorig_solver.twin.quantities import matrix, scalar, vector
 
-PROCESSES = 3  # white noise, flicker, random walk
+STATED_PROCESSES = (0, 1, 2, 4)  # of N, B, K, D and F: a gyroscope has no white angle noise
 CRYSTAL_WALK_PER_SQRT_S = 1e-8  # of a crystal's rate (docs/clocks.md)
 MAX_STAMPS = 2_000_000  # of a long recording, the first ones are sufficient
 MIN_STAMPS = 100
@@ -50,7 +50,7 @@ def measure_board(data: BoardData, criticised: CriticisedFit) -> TwinBoard:
     deviations = np.where(is_known, fit.gain_std, PRIOR_STD["gain"])
     stds = np.array([fit.std.get(f"bias.{axis}", math.nan) for axis in "xyz"])
     bias = vector(fit.bias_rad_s, np.hypot(stds, session_wander_rad_s(criticised)), "rad/s")
-    white, flicker, walk = _noise_levels(criticised)
+    white, flicker, walk, floor = _noise_levels(criticised)
     full_scale_dps = positive_number(samples.metadata, "gyro_full_scale_dps")
     stamp_jitter = _measure_stamp_jitter(recording, samples)
     return TwinBoard(
@@ -60,6 +60,7 @@ def measure_board(data: BoardData, criticised: CriticisedFit) -> TwinBoard:
         noise_density=white,
         bias_instability=flicker,
         rate_random_walk=walk,
+        noise_floor=floor,
         odr=_measure_odr(samples, stamp_jitter),
         bandwidth=_stated(samples.bandwidth_hz, "Hz"),
         full_scale=_stated(full_scale_dps and math.radians(full_scale_dps), "rad/s"),
@@ -86,27 +87,31 @@ def _time_offset(fit: GyroFit, samples: GyroSamples) -> Scalar:
 
 
 def _noise_levels(criticised: CriticisedFit) -> tuple[Vector | None, ...]:
-    """Return white noise, flicker and random walk of the residual."""
+    """Return white noise, flicker, random walk and, if there is one, floor of the residual."""
     noise, solution = criticised.fit.noise, criticised.solution
     if noise is None:
-        return None, None, None
+        return (None,) * len(STATED_PROCESSES)
     white = noise.angle_random_walk
     if solution is not None:
         white = white * mean_white_factor(solution.spectra[-1])
-    levels = (white, noise.bias_instability, noise.rate_random_walk)
-    units = ("rad/s/sqrt(Hz)", "rad/s", "rad/s/sqrt(s)")
+    levels = (white, noise.bias_instability, noise.rate_random_walk, noise.noise_floor)
+    units = ("rad/s/sqrt(Hz)", "rad/s", "rad/s/sqrt(s)", "rad/s/sqrt(Hz)")
     if solution is None:
-        return tuple(vector(values, None, unit) for values, unit in zip(levels, units, strict=True))
+        return tuple(
+            None if values is None else vector(values, None, unit)
+            for values, unit in zip(levels, units, strict=True)
+        )
     relative = _relative_level_stds(solution.noises[-1], solution.spectra[-1])
     return tuple(
-        vector(
-            levels[k],
-            levels[k] * relative[:, k],
-            units[k],
-            "recording" if relative[:, k].max() < MAX_RELATIVE_LEVEL_STD else "default",
-        )
-        for k in range(PROCESSES)
+        None if values is None else _level(values, share, unit)
+        for values, share, unit in zip(levels, relative.T, units, strict=True)
     )
+
+
+def _level(values: FloatArray, relative: FloatArray, unit: str) -> Vector | None:
+    """Return a noise level with its relative standard deviation, (3,) each."""
+    is_shown = bool(relative.max() < MAX_RELATIVE_LEVEL_STD)
+    return vector(values, values * relative, unit, "recording" if is_shown else "default")
 
 
 def mean_white_factor(spectrum: Spectrum) -> FloatArray:
@@ -122,7 +127,7 @@ def mean_white_factor(spectrum: Spectrum) -> FloatArray:
 
 
 def _relative_level_stds(noise: NoiseModel, spectrum: Spectrum) -> FloatArray:
-    """Return the relative standard deviation of each level, shape (3, 3): axis, process.
+    """Return the relative standard deviation of each level, shape (3, 4): axis, process.
 
     They are from the curvature of Whittle's likelihood (Whittle, "Estimation and information in
     stationary time series", 1953): the information about the logarithms of the levels is half the
@@ -136,19 +141,21 @@ def _relative_level_stds(noise: NoiseModel, spectrum: Spectrum) -> FloatArray:
     """
     unit_density = unit_densities(spectrum.frequency_hz, noise.sampling)
     total = noise.density_of_bins(spectrum)
-    stds = np.empty((3, PROCESSES))
+    stds = np.empty((3, len(STATED_PROCESSES)))
     for axis in range(3):
         contributions = noise.levels[axis][:, None] * unit_density
         if spectrum.white_power is not None:
             contributions[0] *= spectrum.white_power[:, axis]
+        floor = np.full(spectrum.frequency_hz.size, noise.floor[axis])
+        contributions = np.vstack([contributions, floor])
         shares = contributions / total[:, axis]
         active = np.flatnonzero(shares.max(axis=1) > 0.0)
         information = 0.5 * (shares[active] * spectrum.count) @ shares[active].T
         information += np.eye(active.size) * PRIOR_LOG_STD**-2
         # The levels are squares: the logarithm of an amplitude has half of the deviation.
-        log_stds = np.full(len(noise.levels[axis]), PRIOR_LOG_STD)
+        log_stds = np.full(len(contributions), PRIOR_LOG_STD)
         log_stds[active] = np.sqrt(np.diag(np.linalg.inv(information)))
-        stds[axis] = 0.5 * log_stds[:PROCESSES]
+        stds[axis] = 0.5 * log_stds[list(STATED_PROCESSES)]
     return stds
 
 

@@ -26,7 +26,7 @@ NO_UNIT = (
 UNEXPLAINED = "a part of the residual has no known cause; the twin does not contain it"
 UNIT_VALUES = ("answer_time", "start_delay")
 LINK_VALUES = ("floor", "jitter", "stall_interval")
-NOT_SHOWN_OF_BOARD = ("temperature", "clock")
+NOT_SHOWN_OF_BOARD = ("temperature", "clock", "noise_floor")
 # Key of a value of the twin: words for people.
 VALUE_NAMES = {
     "gain": "sensor matrix",
@@ -148,6 +148,8 @@ def _board_lines(name: str, board: TwinBoard) -> Iterator[str]:
     texts.append(_axes_text("bias", board.bias, DEG_PER_RAD, "deg/s"))
     if board.noise_density is not None:
         texts.append(_axes_text("white noise", board.noise_density, DEG_PER_RAD, "deg/s/√Hz"))
+    if board.noise_floor is not None:
+        texts.append(_axes_text("noise floor", board.noise_floor, DEG_PER_RAD, "deg/s/√Hz"))
     yield f"  board {name:<15} {'; '.join(texts)}"
     texts = []
     if board.time_offset.source != "default":

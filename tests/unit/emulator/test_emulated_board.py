@@ -149,6 +149,26 @@ def test_tau_is_a_pure_delay() -> None:
     assert late[3:] == pytest.approx(prompt[:-3], abs=2)
 
 
+def test_a_noise_floor_is_white_behind_the_low_pass_and_changes_nothing_else() -> None:
+    rig, _ = board()
+    noisy = still_imu(noise_density_rad_s_rthz=np.full(3, 5e-4), gyro_scale_rad_s=1e-7)
+    floor = np.array([0.0, 1e-4, 2e-4])
+    models = [
+        ImuModel(truth, rig.stage, 0.0, np.random.default_rng(3))
+        for truth in (noisy, replace(noisy, noise_floor_rad_s_rthz=floor))
+    ]
+    plain, with_floor = (
+        np.concatenate([model.next_block().rate_rad_s for _ in range(500)]) for model in models
+    )
+    added = with_floor - plain
+    assert not added[:, 0].any()
+    count = len(added)
+    std = floor[1:] * np.sqrt(noisy.odr_hz / 2.0)
+    assert added[:, 1:].std(axis=0) == pytest.approx(std, rel=4.0 / np.sqrt(2.0 * count))
+    neighbours = np.mean(added[1:, 1:] * added[:-1, 1:], axis=0) / std**2
+    assert np.all(np.abs(neighbours) < 4.0 / np.sqrt(count))
+
+
 def test_beyond_full_scale_is_marked_and_clipped() -> None:
     rig, _ = board()
     truth = still_imu(gyro_scale_rad_s=1e-5, gyro_limit_rad_s=0.4)

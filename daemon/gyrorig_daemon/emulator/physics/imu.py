@@ -10,7 +10,7 @@ order of queries. Further errors of a sensor are in `hooks`.
 
 import math
 from bisect import bisect_left, bisect_right
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -56,6 +56,8 @@ class ImuTruth:
     soak_k: float = 0.0  # see `temperature`
     soak_s: tuple[float, float] = (0.0, 120.0)
     temperature_curve: TemperatureCurve | None = None
+    # One-sided, of noise that arises behind the low-pass, (3,).
+    noise_floor_rad_s_rthz: FloatArray = field(default_factory=lambda: np.zeros(3))
 
     def without_noise(self) -> "ImuTruth":
         """Return the same sensor without noise and bias wander."""
@@ -64,6 +66,7 @@ class ImuTruth:
             noise_density_rad_s_rthz=np.zeros(3),
             bias_instability_rad_s=np.zeros(3),
             rate_random_walk=np.zeros(3),
+            noise_floor_rad_s_rthz=np.zeros(3),
             accel_noise_m_s2=0.0,
         )
 
@@ -152,6 +155,9 @@ class ImuModel:
         )
         self._noise_rng, self._wander_rng, self._accel_rng = rng.spawn(3)
         self._sigma = white_step_sigma(truth.noise_density_rad_s_rthz, self._dt_s)
+        # Its own stream, and only with a floor: all other noise is the same without one.
+        self._floor_rng = rng.spawn(1)[0] if truth.noise_floor_rad_s_rthz.any() else None
+        self._floor_sigma = white_step_sigma(truth.noise_floor_rad_s_rthz, self._period_s)
         self._wander = BiasWander(
             truth.bias_instability_rad_s,
             truth.rate_random_walk,
@@ -164,6 +170,7 @@ class ImuModel:
         self._end_lag_line: LagLine | None = None
         self._wander_from, self._wander_to = np.zeros(3), np.zeros(3)
         self._noise: FloatArray = np.zeros((0, 3))
+        self._floor_noise: FloatArray = np.zeros(3)
         self._accel_noise: FloatArray = np.zeros((0, 3))
         self._jitter_substeps: FloatArray | None = None
         self._first = -self._samples
@@ -184,6 +191,9 @@ class ImuModel:
             self._noise = self._sigma * self._noise_rng.standard_normal((count, 3))
         else:
             self._noise = np.zeros((count, 3))
+        if self._floor_rng is not None:
+            draws = self._floor_rng.standard_normal((self._samples, 3))
+            self._floor_noise = self._floor_sigma * draws
         self._accel_noise = self.truth.accel_noise_m_s2 * self._accel_rng.standard_normal(
             (self._samples, 3)
         )
@@ -229,7 +239,7 @@ class ImuModel:
         )
         for effect in hooks.bias_effects:
             bias = bias + effect.added_rad_s(time_s, self._temperature)
-        measured = output + bias
+        measured = output + bias + self._floor_noise
         if hooks.limit_rad_s is not None:
             measured = np.clip(measured, -hooks.limit_rad_s, hooks.limit_rad_s)
         measured = measured * hooks.count_factor

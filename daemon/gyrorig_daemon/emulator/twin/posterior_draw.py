@@ -11,7 +11,8 @@ _DRAW_STREAM = 0x4452_4157  # different from the other streams of a seed
 # A normal draw of these can be negative, which means nothing.
 _NOT_NEGATIVE = frozenset(
     {
-        "noise_density", "bias_instability", "rate_random_walk", "stamp_jitter", "wander",
+        "noise_density", "bias_instability", "rate_random_walk", "noise_floor", "stamp_jitter",
+        "wander",
         "answer_time", "start_delay", "floor", "jitter", "stall_interval", "stall_shortest",
         "stall_longest", "write_floor", "write_jitter", "odr", "bandwidth", "full_scale", "count",
     }

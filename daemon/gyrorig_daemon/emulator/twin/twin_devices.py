@@ -117,6 +117,7 @@ def base_truth(
         noise_density_rad_s_rthz=_array(board.noise_density, _NOISE_DENSITY_RAD_S_RTHZ),
         bias_instability_rad_s=_array(board.bias_instability, _BIAS_INSTABILITY_RAD_S),
         rate_random_walk=_array(board.rate_random_walk, _RATE_RANDOM_WALK),
+        noise_floor_rad_s_rthz=_array(board.noise_floor, 0.0),
         accel_gain=np.ones(3),
         accel_bias_m_s2=np.zeros(3),
         ambient_degc=_AMBIENT_DEGC,
