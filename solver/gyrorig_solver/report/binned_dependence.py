@@ -22,6 +22,7 @@ DEPENDENCE_OF_SIGNATURE = {
     "time": BinnedDependence("gain", "time"),
     "bias_time": BinnedDependence("mean", "time"),
     "wandering": BinnedDependence("mean", "time"),
+    "motor_heat": BinnedDependence("mean", "time"),
     "speed": BinnedDependence("gain", "speed", 12),
     "own_rate": BinnedDependence("mean", "own_rate"),
     "moving_bias": BinnedDependence("mean", "speed", 16),

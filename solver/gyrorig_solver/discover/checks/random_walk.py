@@ -2,7 +2,8 @@
 
 The noise levels include the random walk, therefore the residual shows nothing. The walk is named
 if an unusual walk is significantly more likely than a typical one with flicker of any level, if no
-other test is significant, and if no alternative cause is nearly as likely.
+other test is significant, if the bias does not follow the heat of the motors, and if no alternative
+cause is nearly as likely.
 
 What to use when: `RandomWalkCheck` after a search; causes that the walk leaves possible (a step, a
 warm-up) are listed with it.
@@ -20,7 +21,9 @@ from gyrorig_solver.discover.checks.model_check import (
     JudgedModel,
     Verdict,
 )
+from gyrorig_solver.discover.checks.motor_heat import likelier_motor_heat
 from gyrorig_solver.discover.checks.residual_dependence import residual_dependence_tests
+from gyrorig_solver.discover.checks.specification_tests import DECISIVE_NATS
 from gyrorig_solver.discover.checks.typical_noise import (
     has_typical_noise,
 )
@@ -62,7 +65,12 @@ class RandomWalkCheck:
         )
         if walk is None:
             return Verdict()
-        tests = residual_dependence_tests(model.space.projector())
+        projector = model.space.projector()
+        # The levels contain the walk. What still follows the motors' heat is no walk.
+        heat = likelier_motor_heat(projector, 0.0, DECISIVE_NATS)
+        if heat is not None:
+            return Verdict(rejecting_tests=(heat,))
+        tests = residual_dependence_tests(projector)
         if any(test.p_value < DEPENDENCE_FALSE_ALARM_RATE for test in tests):
             return Verdict()
         return Verdict(named=(walk,), dependence_tests=tuple(tests))

@@ -241,12 +241,12 @@ def _bias_family(
             if k:
                 waves = np.concatenate([np.ones((1, scene.interval_count)), waves])
             product = (product[:, None] * waves).reshape(-1, scene.interval_count)
-        return _on_each_axis(scene, product)
+        return on_each_axis(scene, product)
 
     return BasisFamily(name, description, (signal,), np.repeat(detail, 3))
 
 
-def _on_each_axis(scene: SignalState, waves: FloatArray) -> AxisBiases:
+def on_each_axis(scene: SignalState, waves: FloatArray) -> AxisBiases:
     """Return signals (k, n) as biases of each axis."""
     return AxisBiases(scene.sample_output(waves[:, :, None])[:, :, 0])
 
@@ -276,7 +276,7 @@ def _rate_family(scenes: Sequence[SignalState]) -> BasisFamily:
 
     def pair_signals(scene: SignalState) -> Signals:
         share = scene.filtered_rad_s / largest
-        return _on_each_axis(scene, np.stack([share[:, i] * share[:, j] for i, j in pairs]))
+        return on_each_axis(scene, np.stack([share[:, i] * share[:, j] for i, j in pairs]))
 
     detail = np.repeat([*(p - 1.0 for p in powers), *(2.0 for _ in pairs)], 3)
     signals: tuple[SignalFunction, ...] = (

@@ -10,7 +10,8 @@ better than all other causes. Each named cause is therefore tested against
 Both are score tests with the cause, its sizes, shapes and event free. If the cause is right, the
 statistic of d signals is chi-squared with d degrees of freedom. The choice among sets is corrected
 by Bonferroni; a right cause is rejected in at most `REJECTION_LEVEL` of sessions. A cause of an
-angle is also rejected if a smooth function of that angle is decisively more probable. An excess
+angle is also rejected if a smooth function of that angle is decisively more probable, and a cause
+of the time if the heat of the motors is (`motor_heat`). An excess
 below `NEGLIGIBLE_SHARE` of the explained statistic is ignored, because no form is exact. A rejected
 cause keeps its name if it explains far more than a smooth function alone; see decision 0071.
 
@@ -28,6 +29,7 @@ from gyrorig_solver.discover.candidate_fits import global_p_value
 from gyrorig_solver.discover.cause_findings import DependenceTest
 from gyrorig_solver.discover.cause_ranking import MODEL_ERROR_SHARE, RankedCause
 from gyrorig_solver.discover.checks.model_check import JudgedModel, Verdict
+from gyrorig_solver.discover.checks.motor_heat import likelier_motor_heat, motor_heat_family
 from gyrorig_solver.discover.checks.residual_dependence import (
     choose_detail,
     smooth_function_evidence,
@@ -97,9 +99,10 @@ def best_function_nats(projector: NuisanceProjector, covariate: str | None = Non
         projector: the nuisance projector at a fit.
         covariate: of which the functions are; None: of any.
     """
+    heat = motor_heat_family(projector.states)
     evidences = (
         smooth_function_evidence(family.statistics(projector), family.detail)
-        for family in smooth_families(projector.states)
+        for family in (*smooth_families(projector.states), *([heat] if heat else []))
         if covariate in (None, family.covariate)
     )
     return max(evidences, default=0.0)
@@ -139,7 +142,9 @@ def find_misspecification(
         excess = worst.statistic - worst.degrees_of_freedom
         if worst.p_value < REJECTION_LEVEL and excess > NEGLIGIBLE_SHARE * explained_statistic:
             return worst
-    return _likelier_angle_function(model.space, k, ranked)
+    return _likelier_angle_function(model.space, k, ranked) or _likelier_heat(
+        model.space, k, ranked
+    )
 
 
 def _likelier_angle_function(space: FitSpace, k: int, ranked: RankedCause) -> DependenceTest | None:
@@ -165,6 +170,16 @@ def _likelier_angle_function(space: FitSpace, k: int, ranked: RankedCause) -> De
                     family.covariate, family.description, 2.0 * lead_nats, 1, relative_odds
                 )
     return None
+
+
+def _likelier_heat(space: FitSpace, k: int, ranked: RankedCause) -> DependenceTest | None:
+    """Return the test that the bias follows the motors' heat rather than a cause of the time."""
+    term = space.fitted_terms[k].term
+    if "bias_time" not in (term.covariates or ()) or term.template_search == "spectral_lines":
+        return None
+    candidate = ranked.candidate
+    needed_nats = max(DECISIVE_NATS, NEGLIGIBLE_SHARE * candidate.delta_log_likelihood)
+    return likelier_motor_heat(space.projector_without(k), candidate.log_evidence, needed_nats)
 
 
 def nonparametric_specification_test(

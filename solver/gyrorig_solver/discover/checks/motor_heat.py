@@ -1,0 +1,85 @@
+"""A bias that follows the heat of the motors, as an alternative to causes of the time.
+
+Motors heat the board while they run, and its thermometer need not show it. The bias then follows
+the time for which the motors have run, with a lag. Under a program that moves most of the time it
+looks like a warm-up, a step or a random walk of the bias. No cause of the catalogue has this form;
+see decision 0074.
+
+What to use when: `motor_heat_family` among the functions that a named cause must beat;
+`likelier_motor_heat` for the test that takes a name away.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from gyrorig_solver.data import FloatArray
+from gyrorig_solver.discover.cause_findings import DependenceTest
+from gyrorig_solver.discover.checks.residual_dependence import smooth_function_evidence
+from gyrorig_solver.discover.checks.smooth_alternatives import BasisFamily, on_each_axis
+from gyrorig_solver.estimate import NuisanceProjector
+from gyrorig_solver.model import Signals, SignalState
+
+COVARIATE = "motor_heat"
+LAGS_S = np.array([3.0, 10.0, 30.0, 100.0])  # from a chip near the motor to a plate with a motor
+
+
+def motor_heat_family(scenes: Sequence[SignalState]) -> BasisFamily | None:
+    """Return a bias of each axis behind the running motors, with each lag; None without moves."""
+    if not scenes or not scenes[0].context.motion_profiles:
+        return None
+    description = "on how long the motors have run (the bias changes)"
+    detail = np.ones(3 * LAGS_S.size)
+    return BasisFamily(COVARIATE, description, (_heat_signals,), detail)
+
+
+def likelier_motor_heat(
+    projector: NuisanceProjector, cause_nats: float, needed_nats: float
+) -> DependenceTest | None:
+    """Return the test that the bias follows the motors' heat rather than a cause; None if not.
+
+    Args:
+        projector: the nuisance projector at the fit without the cause.
+        cause_nats: the log evidence of the cause, against none.
+        needed_nats: by which the heat must be more probable.
+    """
+    family = motor_heat_family(projector.states)
+    if family is None:
+        return None
+    lead_nats = smooth_function_evidence(family.statistics(projector), family.detail) - cause_nats
+    if lead_nats <= needed_nats:
+        return None
+    return DependenceTest(
+        family.covariate, family.description, 2.0 * lead_nats, 1, float(np.exp(-lead_nats))
+    )
+
+
+def lagged_running_share(spans_s: FloatArray, lags_s: FloatArray, time_s: FloatArray) -> FloatArray:
+    """Return 1 while a motor runs and 0 while none runs, behind lags of first order.
+
+    Args:
+        spans_s: begin and end of each move, (m, 2).
+        lags_s: shape (k,).
+        time_s: in increasing order, (n,).
+
+    Returns:
+        Shape (k, n); 0 before the first move.
+    """
+    knots_s = np.unique(spans_s)
+    begun = np.searchsorted(np.sort(spans_s[:, 0]), knots_s, side="right")
+    ended = np.searchsorted(np.sort(spans_s[:, 1]), knots_s, side="right")
+    running = (begun > ended).astype(np.float64)  # from each knot to the next
+    levels = np.zeros((knots_s.size, lags_s.size))
+    for k, decay in enumerate(np.exp(-np.diff(knots_s)[:, None] / lags_s)):
+        levels[k + 1] = running[k] + (levels[k] - running[k]) * decay
+    last = np.searchsorted(knots_s, time_s, side="right") - 1
+    knot = np.maximum(last, 0)
+    since_s = np.maximum(time_s - knots_s[knot], 0.0)
+    share = running[knot] + (levels[knot].T - running[knot]) * np.exp(-since_s / lags_s[:, None])
+    return np.asarray(np.where(last >= 0, share, 0.0), dtype=np.float64)
+
+
+def _heat_signals(scene: SignalState) -> Signals:
+    moves = [profile for _, profile in scene.context.motion_profiles]
+    spans_s = np.array([(float(move.start_s[0]), float(move.end_s)) for move in moves])
+    return on_each_axis(scene, lagged_running_share(spans_s, LAGS_S, scene.time_s))
