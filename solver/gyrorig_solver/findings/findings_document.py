@@ -58,12 +58,13 @@ class TestStatistics(_Document, frozen=True, omit_defaults=True):
     posterior: float | None = None
 
 
-class RivalEntry(_Document, frozen=True):
+class RivalEntry(_Document, frozen=True, omit_defaults=True):
     """A rejected cause, its log-likelihood difference and the reason."""
 
     cause: str
     delta_log_likelihood: float | None
     reason: str
+    posterior: float | None = None  # probability among all causes that were compared
 
 
 class GainEntry(_Document, frozen=True, omit_defaults=True):

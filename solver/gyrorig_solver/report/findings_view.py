@@ -35,7 +35,7 @@ from gyrorig_solver.model.catalogue import catalogue
 
 MIN_SHIFT_SIGMA, MIN_ROWS = 0.3, 2  # smaller changes of parameters are shown in two rows only
 TONES = {"adequate": "good", "explained": "limited", "unexplained": "refused"}
-SURE_POSTERIOR = 0.999
+SURE_POSTERIOR, SMALL_POSTERIOR = 0.999, 0.001
 DEPENDENCE_CAPTIONS = {
     "own_rate": "Mean residual against the rate about the same axis. A curve suggests a "
     "scale-factor non-linearity.",
@@ -133,9 +133,7 @@ def _summary(document: FindingsDocument, cause: CauseEntry) -> dict[str, str]:
         confidence.append(p_value_text(cause.evidence.p_value))
     posterior = cause.evidence.posterior
     if posterior is not None:
-        above = posterior > SURE_POSTERIOR
-        text = f"above {SURE_POSTERIOR}" if above else f"{posterior:.3g}"
-        confidence.append(f"posterior probability {text}")
+        confidence.append(f"posterior probability {_probability_text(posterior)}")
     if cause.one_of:
         confidence.append(f"could also be: {', or '.join(map(_lower_title, cause.one_of))}")
     return {
@@ -246,19 +244,42 @@ def _cause_view(
         "p_value": "" if p_value is None else p_value_text(p_value),
         "remedy": cause.remedy,
         "figure": figures.get(key, ""),
-        "rivals": [
-            {
-                "name": cause_title(rival.cause),
-                "difference": ""
-                if rival.delta_log_likelihood is None
-                else f"{rival.delta_log_likelihood:+.1f}",
-                "reason": rival.reason,
-            }
-            for rival in cause.rivals
-        ],
+        "compared": _compared_rows(cause),
         "gain": _gain_text(cause.gain),
         "changes": _change_rows(changes),
     }
+
+
+def _compared_rows(cause: CauseEntry) -> list[dict[str, str]]:
+    """Return the named cause and its rejected alternatives, each with its posterior probability."""
+    if not cause.rivals:
+        return []
+    rows = [
+        {
+            "name": cause_title(rival.cause),
+            "difference": ""
+            if rival.delta_log_likelihood is None
+            else f"{rival.delta_log_likelihood:+.1f}",
+            "reason": rival.reason,
+            **_probability_bar(rival.posterior),
+        }
+        for rival in cause.rivals
+    ]
+    named = {"name": cause_title(cause.cause), "difference": "0.0", "reason": "named"}
+    return [named | _probability_bar(cause.evidence.posterior), *rows]
+
+
+def _probability_bar(posterior: float | None) -> dict[str, str]:
+    """Return a posterior probability in words, and the length of its bar in percent."""
+    if posterior is None:
+        return {"probability": "", "percent": ""}
+    return {"probability": _probability_text(posterior), "percent": f"{100.0 * posterior:.1f}"}
+
+
+def _probability_text(posterior: float) -> str:
+    if posterior > SURE_POSTERIOR:
+        return f"above {SURE_POSTERIOR}"
+    return f"below {SMALL_POSTERIOR}" if posterior < SMALL_POSTERIOR else f"{posterior:.3g}"
 
 
 def _time_reference(name: str) -> str:

@@ -106,13 +106,26 @@ def test_verdict_effect_and_remedy_come_first(
     order = [
         *("Not fully explained: the gears have backlash, on tilt", "standard uncertainties (scale"),
         *("Have the worm adjusted", "p < 1e-12; posterior probability 0.97", "Causes"),
-        *("Rejected alternatives", "Unexplained residual", "Not found"),
+        *("Comparison with the alternatives", "Unexplained residual", "Not found"),
         *("Not testable with this recording", "Raw-stream checks"),
     ]
     places = [words.index(text) for text in order]
     assert places == sorted(places)
     assert "+37.5 nats" in words
     assert "it comes after reversals only" in words
+
+
+def test_each_compared_cause_has_its_probability_as_a_bar(
+    findings: CauseFindings, raw: list[RawChecks], origin: FindingsOrigin
+) -> None:
+    text = render_findings(build_findings_document(findings, raw, origin), {})
+    comparison = text[text.index("Comparison with the alternatives") :]
+    bars = re.findall(r'<rect width="([\d.]+)" height="10" fill="var\(--z\)"/>', comparison)
+    cause = findings.causes[0]
+    stated = [cause.posterior, *(rival.posterior for rival in cause.rivals)]
+    assert [float(bar) for bar in bars[: len(stated)]] == pytest.approx(
+        [100.0 * posterior for posterior in stated], abs=0.05
+    )
 
 
 def test_hostile_names_are_escaped(
@@ -133,7 +146,7 @@ def test_page_without_findings(findings: CauseFindings, origin: FindingsOrigin) 
     )
     words = " ".join(page_of(render_findings(build_findings_document(empty, [], origin), {})).words)
     assert "No error found" in words
-    assert "Rejected alternatives" not in words
+    assert "Comparison with the alternatives" not in words
 
 
 def test_standalone_figure_has_its_own_style(findings: CauseFindings) -> None:
