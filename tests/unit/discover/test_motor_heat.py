@@ -28,6 +28,7 @@ def test_the_share_is_a_first_order_lag_behind_the_moves() -> None:
         expected = lfilter([0.0, gain], [1.0, gain - 1.0], running.astype(np.float64))
         assert row == pytest.approx(expected, abs=2.0 * STEP_S / lag_s)
     assert not share[:, time_s < 2.0].any()
+    assert not lagged_running_share(np.zeros((0, 2)), LAGS_S, time_s).any()
 
 
 @pytest.mark.long

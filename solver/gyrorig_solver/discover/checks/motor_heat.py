@@ -26,7 +26,7 @@ LAGS_S = np.array([3.0, 10.0, 30.0, 100.0])  # from a chip near the motor to a p
 
 def motor_heat_family(scenes: Sequence[SignalState]) -> BasisFamily | None:
     """Return a bias of each axis behind the running motors, with each lag; None without moves."""
-    if not scenes or not scenes[0].context.motion_profiles:
+    if not any(scene.context.motion_profiles for scene in scenes):
         return None
     description = "on how long the motors have run (the bias changes)"
     detail = np.ones(3 * LAGS_S.size)
@@ -65,6 +65,8 @@ def lagged_running_share(spans_s: FloatArray, lags_s: FloatArray, time_s: FloatA
     Returns:
         Shape (k, n); 0 before the first move.
     """
+    if not spans_s.size:
+        return np.zeros((lags_s.size, time_s.size))
     knots_s = np.unique(spans_s)
     begun = np.searchsorted(np.sort(spans_s[:, 0]), knots_s, side="right")
     ended = np.searchsorted(np.sort(spans_s[:, 1]), knots_s, side="right")
@@ -82,4 +84,5 @@ def lagged_running_share(spans_s: FloatArray, lags_s: FloatArray, time_s: FloatA
 def _heat_signals(scene: SignalState) -> Signals:
     moves = [profile for _, profile in scene.context.motion_profiles]
     spans_s = np.array([(float(move.start_s[0]), float(move.end_s)) for move in moves])
+    spans_s = spans_s.reshape(-1, 2)  # a recording at rest has none
     return on_each_axis(scene, lagged_running_share(spans_s, LAGS_S, scene.time_s))
