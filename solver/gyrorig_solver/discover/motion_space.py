@@ -5,6 +5,7 @@ What to use when: `MotionFitSpace` around a fit that `likelihood_fit` made.
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Self
 
 import numpy as np
@@ -13,7 +14,10 @@ from gyrorig_solver.data import BoolArray, FloatArray
 from gyrorig_solver.discover.calibration_changes import CalibrationValues
 from gyrorig_solver.discover.candidate_fits import global_p_value
 from gyrorig_solver.discover.cause_findings import DependenceTest
-from gyrorig_solver.discover.checks.residual_dependence import residual_dependence_tests
+from gyrorig_solver.discover.checks.residual_dependence import (
+    limited_dependence_tests,
+    residual_dependence_tests,
+)
 from gyrorig_solver.discover.checks.typical_noise import (
     build_projector,
     build_usual_projector,
@@ -188,8 +192,10 @@ class MotionFitSpace(FitSpace):
         if self.has_typical_noise:
             return residual_dependence_tests(projector)
         walk = measure_bias_walk(self.solution)
-        tests = residual_dependence_tests(
-            self.projector(typical=True), build_usual_projector(self.solution)
+        tests = limited_dependence_tests(
+            projector.states,
+            partial(self.projector, typical=True),
+            partial(build_usual_projector, self.solution),
         )
         return sorted(
             [*tests, walk.dependence_test], key=lambda test: (test.p_value, -test.statistic)

@@ -5,12 +5,12 @@ cause: first the smoothest ones, then more detail. A significant test that no ca
 reported as "unexplained, depends on X". If several covariates are significant, X is the one whose
 smooth function has the most evidence.
 
-What to use when: `residual_dependence_tests` for all tests, `dependences_on` for chosen functions;
-`variance_tests` for the variance.
+What to use when: `residual_dependence_tests` for all tests, `limited_dependence_tests` where the
+noise is not typical, `dependences_on` for chosen functions; `variance_tests` for the variance.
 """
 
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -20,8 +20,11 @@ from gyrorig_solver.discover.checks.smooth_alternatives import BasisFamily, smoo
 from gyrorig_solver.discover.checks.variance_trend import fit_variance_trend, speed_shapes
 from gyrorig_solver.discover.score_tests import NEGLIGIBLE_ENERGY, ScoreTest
 from gyrorig_solver.estimate import NuisanceProjector, ScoreStatistics
+from gyrorig_solver.model import SignalState
 from gyrorig_solver.model.causes.sample_jitter import SampleJitter
 from gyrorig_solver.numerics import chi2_upper_tail
+
+ProjectorFunction = Callable[[], NuisanceProjector]
 
 DETAIL_LIMITS = (3.0, 8.0, np.inf)  # half waves that are looked at together, coarse to fine
 VARIANCE_TESTS = 4  # tests of the scatter
@@ -40,27 +43,44 @@ class DetailTest:
     p_value: float  # the choice of the detail counted
 
 
-def residual_dependence_tests(
-    projection: NuisanceProjector, usual_noise_projection: NuisanceProjector | None = None
-) -> list[DependenceTest]:
+def residual_dependence_tests(projection: NuisanceProjector) -> list[DependenceTest]:
     """Test whether a residual depends on each covariate; the smallest p-value first.
 
     Args:
         projection: the nuisance projector at the fit.
-        usual_noise_projection: the same with the fitted levels of a usual part, where `projection`
-            has typical ones; a significant test must then be significant with both.
     """
     families = list(smooth_families(projection.states))
     tests = len(families) + VARIANCE_TESTS
-    variances = variance_tests(usual_noise_projection or projection, tests)
-    return dependences_on(projection, families, tests, usual_noise_projection, variances)
+    variances = variance_tests(projection, tests)
+    return dependences_on(projection, families, tests, other_tests=variances)
+
+
+def limited_dependence_tests(
+    scenes: Sequence[SignalState],
+    typical_projector: ProjectorFunction,
+    usual_projector: ProjectorFunction,
+) -> list[DependenceTest]:
+    """Do the same with typical noise; a significant test must be so with fitted levels, too.
+
+    A projector is large, so only one of them is in memory at a time.
+
+    Args:
+        scenes: all parts of all recordings that are fitted together.
+        typical_projector: returns the nuisance projector at the fit with typical noise levels.
+        usual_projector: the same with the fitted levels of a usual part.
+    """
+    families = list(smooth_families(scenes))
+    tests = len(families) + VARIANCE_TESTS
+    typical = _family_tests(typical_projector(), families, tests)
+    projection = usual_projector()
+    refined = [_refined(test, projection, family, tests) for family, test in typical]
+    return _most_significant([*variance_tests(projection, tests), *refined])
 
 
 def dependences_on(
     projection: NuisanceProjector,
     families: Iterable[BasisFamily],
     tests: int,
-    usual_noise_projection: NuisanceProjector | None = None,
     other_tests: Iterable[DependenceTest] = (),
 ) -> list[DependenceTest]:
     """Return the test of each covariate, the smallest p-value first.
@@ -69,23 +89,32 @@ def dependences_on(
         projection: the nuisance projector at the fit.
         families: smooth functions of covariates.
         tests: how many share the false alarms.
-        usual_noise_projection: as in `residual_dependence_tests`.
         other_tests: of other covariates, to be listed with them.
     """
-    by_covariate = {test.covariate: test for test in other_tests}
-    for family in families:
-        test = _dependence_test(projection, usual_noise_projection, family, tests)
-        previous = None if test is None else by_covariate.get(test.covariate)
-        if test is not None and (previous is None or test.p_value < previous.p_value):
+    of_families = _family_tests(projection, families, tests)
+    return _most_significant([*other_tests, *(test for _, test in of_families)])
+
+
+def _most_significant(tests: Iterable[DependenceTest]) -> list[DependenceTest]:
+    """Return the most significant test of each covariate, the smallest p-value first."""
+    by_covariate: dict[str, DependenceTest] = {}
+    for test in tests:
+        previous = by_covariate.get(test.covariate)
+        if previous is None or test.p_value < previous.p_value:
             by_covariate[test.covariate] = test
     return sorted(by_covariate.values(), key=lambda test: (test.p_value, -test.statistic))
 
 
+def _family_tests(
+    projection: NuisanceProjector, families: Iterable[BasisFamily], tests: int
+) -> list[tuple[BasisFamily, DependenceTest]]:
+    """Return the families that can be tested, each with its test."""
+    tested = ((family, _dependence_test(projection, family, tests)) for family in families)
+    return [(family, test) for family, test in tested if test is not None]
+
+
 def _dependence_test(
-    projection: NuisanceProjector,
-    usual_noise_projection: NuisanceProjector | None,
-    family: BasisFamily,
-    tests: int,
+    projection: NuisanceProjector, family: BasisFamily, tests: int
 ) -> DependenceTest | None:
     statistics = family.screen(projection) or family.statistics(projection)
     detail_test = choose_detail(statistics, family.detail)
@@ -94,10 +123,6 @@ def _dependence_test(
         detail_test = choose_detail(statistics, family.detail)
     if detail_test is None:
         return None
-    if usual_noise_projection is not None and detail_test.p_value * tests < REFINE_BELOW_P:
-        usual = choose_detail(family.statistics(usual_noise_projection), family.detail)
-        if usual is not None and usual.p_value > detail_test.p_value:
-            detail_test = usual
     score_test = detail_test.score_test
     return DependenceTest(
         family.covariate,
@@ -106,6 +131,24 @@ def _dependence_test(
         score_test.degrees_of_freedom,
         min(1.0, detail_test.p_value * tests),
         log_evidence=smooth_function_evidence(statistics, family.detail),
+    )
+
+
+def _refined(
+    test: DependenceTest, usual_projector: NuisanceProjector, family: BasisFamily, tests: int
+) -> DependenceTest:
+    """Return a significant test as it is with fitted noise levels, where that is less so."""
+    if test.p_value >= REFINE_BELOW_P:
+        return test
+    usual = choose_detail(family.statistics(usual_projector), family.detail)
+    if usual is None or usual.p_value * tests <= test.p_value:
+        return test
+    score_test = usual.score_test
+    return replace(
+        test,
+        statistic=score_test.statistic,
+        degrees_of_freedom=score_test.degrees_of_freedom,
+        p_value=min(1.0, usual.p_value * tests),
     )
 
 
