@@ -68,6 +68,17 @@ def test_derivatives_vanish_beyond_the_limit(rig: Any) -> None:
     assert np.linalg.norm(derivative - true) < 0.05 * np.linalg.norm(true)
 
 
+def test_some_scanned_limits_are_just_below_each_peak(rig: Any) -> None:
+    """The clipped part of a peak is as deep as the noise, not an eighth of the peak."""
+    limit, scene = _limited(rig.scene, 0.5)
+    limits = 1.0 - limit.term.template_bank(scene)[:, 0]
+    peaks = np.abs(scene.filtered_rad_s + scene.bias_rad_s).max(axis=0)
+    for peak in peaks / scene.context.full_scale_rad_s:
+        below = 1.0 - limits[limits <= peak] / peak
+        assert below.min() < 1e-3
+        assert np.count_nonzero(below < 0.1) >= 10
+
+
 def test_scale_is_unobservable_below_the_threshold(rig: Any) -> None:
     largest = np.abs(rig.scene.sensor_rate_rad_s).max(axis=0)
     causes = [_dead((2.0 * largest).tolist()), _cause("scale_cubic", [1e-3] * 3)]

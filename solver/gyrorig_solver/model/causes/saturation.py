@@ -13,6 +13,9 @@ from gyrorig_solver.model.signal_state import SignalState
 from gyrorig_solver.model.term import RATE_COVARIATES, BinnedDependence, TermParameter
 from gyrorig_solver.model.term_kinds import NonlinearTerm, scan_grid
 
+FINE_STEP = 1e-3  # relative, of the limits that are scanned below the peaks
+FINE_STEPS_BELOW = np.array([0.0, 1.0, 3.0, 6.0, 10.0, 15.0, 22.0, 32.0, 48.0, 70.0])
+
 
 class Saturation(NonlinearTerm):
     """The shortfall from the full scale, as a share of it."""
@@ -30,6 +33,7 @@ class Saturation(NonlinearTerm):
     implied_by = "wrong_full_scale"  # a sensor of half the range saturates at half the rate
     remedy = "use a larger full scale, or turn more slowly"
     covariates = RATE_COVARIATES
+    template_search = "full_grid"
     picture = BinnedDependence("mean", "own_rate")
     excitation = "moves faster than the suspected limit, for half a second each"
     effect_if_ignored = "the scale factor is too small"
@@ -52,8 +56,19 @@ class Saturation(NonlinearTerm):
         return np.asarray(np.abs(state.filtered_rad_s + state.bias_rad_s) < limit_rad_s, np.float64)
 
     def template_bank(self, state: SignalState) -> FloatArray:
-        """Scan limits an eighth apart, down to a fiftieth of the range."""
-        return scan_grid(self, shortfall=1.0 - np.geomspace(0.02, 0.98, 30))
+        """Scan limits an eighth apart, down to a fiftieth of the range, and some below each peak.
+
+        A limit just below a peak has little in common with one an eighth lower. The limits below
+        the peaks are on a fixed grid, so that parts with the same moves have the same ones.
+        """
+        limits = np.geomspace(0.02, 0.98, 30)
+        full_scale_rad_s = state.context.full_scale_rad_s
+        if full_scale_rad_s is not None:
+            peaks = np.abs(state.filtered_rad_s + state.bias_rad_s).max(axis=0) / full_scale_rad_s
+            below = np.ceil(-np.log(np.clip(peaks, 0.02, 0.98)) / np.log1p(FINE_STEP))
+            steps = (below[:, None] + FINE_STEPS_BELOW).ravel()
+            limits = np.unique(np.concatenate([limits, (1.0 + FINE_STEP) ** -steps]))
+        return scan_grid(self, shortfall=1.0 - limits)
 
     def reason_not_testable(self, state: SignalState) -> str | None:
         """Return why the range is unknown, or None."""
