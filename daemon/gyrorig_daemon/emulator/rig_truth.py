@@ -47,9 +47,7 @@ class BoardTruth:
     def to_document(self) -> dict[str, Any]:
         """Return plain values with units in the names."""
         imu = self.imu
-        floor = imu.noise_floor_rad_s_rthz
-        return {
-            **({"noise_floor_rad_s_rthz": floor.tolist()} if floor.any() else {}),
+        document = {
             "scale": self.scale.diagonal().tolist(),
             "T": self.nonorthogonality.tolist(),
             "M": imu.mounting.tolist(),
@@ -66,6 +64,9 @@ class BoardTruth:
             "accel_bias_m_s2": imu.accel_bias_m_s2.tolist(),
             "clock": _clock_document(self.clock),
         }
+        if imu.noise_floor_rad_s_rthz.any():
+            document["noise_floor_rad_s_rthz"] = imu.noise_floor_rad_s_rthz.tolist()
+        return document
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -21,7 +21,8 @@ from gyrorig_solver.estimate import NuisanceProjector
 from gyrorig_solver.model import Signals, SignalState
 
 COVARIATE = "motor_heat"
-LAGS_S = np.array([3.0, 10.0, 30.0, 100.0])  # from a chip near the motor to a plate with a motor
+# Assumed: no rig with this effect has been measured. A longer lag is a ramp in most recordings.
+LAGS_S = np.array([3.0, 10.0, 30.0, 100.0])
 
 
 def motor_heat_family(scenes: Sequence[SignalState]) -> BasisFamily | None:

@@ -60,7 +60,9 @@ def limited_dependence_tests(
     typical_projector: ProjectorFunction,
     usual_projector: ProjectorFunction,
 ) -> list[DependenceTest]:
-    """Do the same with typical noise; a significant test must be so with fitted levels, too.
+    """Test a residual with typical noise levels; the smallest p-value first.
+
+    A test that is significant must also be significant with the fitted levels.
 
     A projector is large, so only one of them is in memory at a time.
 

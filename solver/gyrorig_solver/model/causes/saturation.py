@@ -13,6 +13,7 @@ from gyrorig_solver.model.signal_state import SignalState
 from gyrorig_solver.model.term import RATE_COVARIATES, BinnedDependence, TermParameter
 from gyrorig_solver.model.term_kinds import NonlinearTerm, scan_grid
 
+SMALLEST_LIMIT, LARGEST_LIMIT = 0.02, 0.98  # that are scanned, of the full scale
 FINE_STEP = 1e-3  # relative, of the limits that are scanned below the peaks
 FINE_STEPS_BELOW = np.array([0.0, 1.0, 3.0, 6.0, 10.0, 15.0, 22.0, 32.0, 48.0, 70.0])
 
@@ -61,12 +62,13 @@ class Saturation(NonlinearTerm):
         A limit just below a peak has little in common with one an eighth lower. The limits below
         the peaks are on a fixed grid, so that parts with the same moves have the same ones.
         """
-        limits = np.geomspace(0.02, 0.98, 30)
+        limits = np.geomspace(SMALLEST_LIMIT, LARGEST_LIMIT, 30)
         full_scale_rad_s = state.context.full_scale_rad_s
         if full_scale_rad_s is not None:
             peaks = np.abs(state.filtered_rad_s + state.bias_rad_s).max(axis=0) / full_scale_rad_s
-            below = np.ceil(-np.log(np.clip(peaks, 0.02, 0.98)) / np.log1p(FINE_STEP))
-            steps = (below[:, None] + FINE_STEPS_BELOW).ravel()
+            peaks = np.clip(peaks, SMALLEST_LIMIT, LARGEST_LIMIT)
+            first_steps = np.ceil(-np.log(peaks) / np.log1p(FINE_STEP))
+            steps = (first_steps[:, None] + FINE_STEPS_BELOW).ravel()
             limits = np.unique(np.concatenate([limits, (1.0 + FINE_STEP) ** -steps]))
         return scan_grid(self, shortfall=1.0 - limits)
 
