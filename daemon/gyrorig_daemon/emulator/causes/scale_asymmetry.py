@@ -23,4 +23,4 @@ class ScaleAsymmetry(RateCause):
 
     def added_rad_s(self, samples: MotionSamples) -> FloatArray:
         """See `board_effects.RateEffect`."""
-        return np.asarray(self.coefficient * np.abs(samples.sensor_rad_s))
+        return np.asarray(self.coefficient * np.abs(samples.limit_to_range(samples.sensor_rad_s)))

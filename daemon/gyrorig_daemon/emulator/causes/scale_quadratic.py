@@ -22,4 +22,4 @@ class ScaleQuadratic(RateCause):
 
     def added_rad_s(self, samples: MotionSamples) -> FloatArray:
         """See `board_effects.RateEffect`."""
-        return np.asarray(self.coefficient * samples.sensor_rad_s**2)
+        return np.asarray(self.coefficient * samples.limit_to_range(samples.sensor_rad_s) ** 2)

@@ -22,5 +22,6 @@ class VibrationRectification(RateCause):
 
     def added_rad_s(self, samples: MotionSamples) -> FloatArray:
         """See `board_effects.RateEffect`."""
-        power = samples.pan_rate_rad_s**2 + samples.tilt_rate_rad_s**2
+        pan, tilt = map(samples.limit_to_range, (samples.pan_rate_rad_s, samples.tilt_rate_rad_s))
+        power = pan**2 + tilt**2
         return np.asarray(power[:, None] * self.coefficient)

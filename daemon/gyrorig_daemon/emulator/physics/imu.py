@@ -292,6 +292,7 @@ class ImuModel:
             pan_rate_rad_s=motion.pan_rate_rad_s,
             tilt_rate_rad_s=motion.tilt_rate_rad_s,
             sensor_rad_s=sensor_rad_s,
+            full_scale_rad_s=INT16_MAX * truth.gyro_scale_rad_s,
             force_m_s2=force,
             temperature=self._temperature,
             pan=self._stage.pan,

@@ -32,10 +32,19 @@ class MotionSamples:
     pan_rate_rad_s: FloatArray
     tilt_rate_rad_s: FloatArray
     sensor_rad_s: FloatArray  # rate times gain, sensor axes, (n, 3)
+    full_scale_rad_s: float  # of the counts
     force_m_s2: FloatArray  # specific force, sensor axes, (n, 3)
     temperature: BoardTemperature
     pan: Motor  # the motors of the axes
     tilt: Motor
+
+    def limit_to_range(self, rate_rad_s: FloatArray) -> FloatArray:
+        """Return a rate, limited to the full scale, as the argument of a non-linear term.
+
+        Where the speed of a motor jumps, a stiff base turns at hundreds of rad/s for a fraction of
+        a millisecond. A data sheet states a non-linearity for the range of the part only.
+        """
+        return np.clip(rate_rad_s, -self.full_scale_rad_s, self.full_scale_rad_s)
 
 
 class MountEffect(Protocol):
