@@ -5,9 +5,11 @@ their scatter. The measurement and each draw are compared with all others in the
 without a difference they are exchangeable: the rank of the measurement among the draws is uniform,
 whatever the distribution of the distances is. Between the ranks, and beyond the largest draw,
 Student's t for the logarithm of the distance gives the rest of the p-value. It can therefore be
-smaller than one over the number of draws.
+smaller than one over the number of draws. The distances of rare events, as stalls of the host, have
+no such logarithm: most sessions have none, and one has many. There the rank alone counts.
 
-What to use when: `compare_families` for all families of a recording, `upper_tail` for one value.
+What to use when: `compare_families` for all families of a recording, `upper_tail` for one value,
+`rank_probability` for one value of rare events.
 """
 
 from collections.abc import Sequence
@@ -85,7 +87,8 @@ def _compare(family: Family, draws: FloatArray) -> FamilyComparison | None:
         ]
     )
     logarithms = np.log(distances + TINY)
-    p_value = upper_tail(float(logarithms[0]), logarithms[1:])
+    tail = rank_probability if family.is_of_rare_events else upper_tail
+    p_value = tail(float(logarithms[0]), logarithms[1:])
     std: FloatArray = np.asarray(np.sqrt(draws.var(axis=0, ddof=1) + family.floor**2))
     return FamilyComparison(
         family, draws.mean(axis=0), std, z, float(np.sqrt(distances[0])), p_value
@@ -104,10 +107,9 @@ def upper_tail(value: float, sample: FloatArray) -> float:
     """
     descending = np.sort(sample)[::-1]
     larger = int(np.count_nonzero(descending > value))
-    equal = int(np.count_nonzero(descending == value))
     cells = sample.size + 1
-    if equal:
-        return 1.0 if equal == sample.size else (larger + (equal + 1) / 2.0) / cells
+    if np.any(descending == value):
+        return rank_probability(value, sample)
     spread = float(sample.std(ddof=1)) * np.sqrt(1.0 + 1.0 / sample.size)
     if spread <= 0.0:
         return 0.0 if larger == 0 else 1.0
@@ -118,3 +120,18 @@ def upper_tail(value: float, sample: FloatArray) -> float:
     above = tail(float(descending[larger - 1])) if larger else 0.0
     below = tail(float(descending[larger])) if larger < sample.size else 1.0
     return (larger + (tail(value) - above) / (below - above)) / cells
+
+
+def rank_probability(value: float, sample: FloatArray) -> float:
+    """Return the mean rank of a value among a sample's, as a share: no less than 1/(n + 1).
+
+    Args:
+        value: the measured one.
+        sample: values of the distribution, n.
+    """
+    larger = int(np.count_nonzero(sample > value))
+    equal = int(np.count_nonzero(sample == value))
+    if equal == sample.size:
+        return 1.0
+    middle = (equal + 1) / 2.0 if equal else 1.0
+    return (larger + middle) / (sample.size + 1)

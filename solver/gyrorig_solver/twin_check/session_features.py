@@ -46,6 +46,7 @@ class Family:
     axis: tuple[str, ...]  # (m,), of the sensor or the unit; "" for neither
     values: FloatArray  # (m,)
     floor: float  # smallest meaningful scatter of a value
+    is_of_rare_events: bool = False  # few in a session, so that its values are far from normal
 
 
 def session_features(
@@ -312,7 +313,7 @@ def _latency_families(session: ObservedSession) -> list[Family]:
     stalls = 1e3 * np.array([lengths_s.sum(), lengths_s.max(initial=0.0)])
     families.append(
         Family("stalls", "stalls of the host", "ms", "total 0, longest 1", np.arange(2.0),
-               ("", ""), stalls, 1.0)
+               ("", ""), stalls, 1.0, is_of_rare_events=True)
     )  # fmt: skip
     return families
 

@@ -1,5 +1,7 @@
 """The p-values of a twin check: uniform without a difference, small with one."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -49,6 +51,13 @@ def test_equal_values_show_no_difference() -> None:
     assert compare_families([family_of(np.zeros(FEATURES))], draws)[0].p_value == 1.0
     moved = family_of(np.full(FEATURES, 1e-3))
     assert compare_families([moved], draws)[0].p_value < 1e-12
+
+
+def test_a_rare_event_is_no_difference() -> None:
+    """One stall of the host in the measurement, and none in any draw."""
+    draws = [[replace(family_of(np.zeros(2)), is_of_rare_events=True)] for _ in range(DRAWS)]
+    measured = replace(family_of(np.array([12.0, 12.0])), is_of_rare_events=True)
+    assert compare_families([measured], draws)[0].p_value == pytest.approx(1.0 / (DRAWS + 1))
 
 
 def test_a_difference_is_found_and_sized() -> None:
