@@ -3,7 +3,7 @@
 What to use when: `fit_leading` for the causes with the best scores, `fit_best_place` for one.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
@@ -49,16 +49,10 @@ def fit_leading(
     Returns:
         Each fitted cause with the effective number of its trials.
     """
-    strength: dict[str, float] = {}
-    term_by_label: dict[str, Term] = {}
-    for score in leading:
-        excess = score.score_test.statistic - score.score_test.degrees_of_freedom
-        name = term_label(score.term)
-        strength[name] = max(strength.get(name, -np.inf), excess)
-        term_by_label[name] = score.term
-    order = sorted(strength, key=lambda name: -strength[name])[:MAX_CANDIDATES]
-    threshold = MIN_STATISTIC_SHARE * strength[order[0]]
-    terms = [term_by_label[c] for k, c in enumerate(order) if k < 2 or strength[c] > threshold]
+    strength = _strength_by_label(leading)
+    term_by_label = {term_label(score.term): score.term for score in leading}
+    threshold = MIN_STATISTIC_SHARE * max(strength.values())
+    terms = [term_by_label[label] for label in _strongest(strength)]
     law_terms = {
         label: term
         for label, term in term_by_label.items()
@@ -106,6 +100,28 @@ def fit_leading(
             candidates.append((law, 1.0))
             needed_nats = max(needed_nats, law.log_evidence)
     return candidates
+
+
+def leading_labels(scores: Sequence[CandidateScore]) -> frozenset[str]:
+    """Return the labels of the causes with the best scores, which `fit_leading` fits."""
+    return frozenset(_strongest(_strength_by_label(scores)))
+
+
+def _strength_by_label(scores: Sequence[CandidateScore]) -> dict[str, float]:
+    """Return by how much the best score of each cause exceeds its degrees of freedom."""
+    strength: dict[str, float] = {}
+    for score in scores:
+        excess = score.score_test.statistic - score.score_test.degrees_of_freedom
+        label = term_label(score.term)
+        strength[label] = max(strength.get(label, -np.inf), excess)
+    return strength
+
+
+def _strongest(strength: Mapping[str, float]) -> list[str]:
+    """Return the two strongest causes, and others that are not much weaker."""
+    order = sorted(strength, key=lambda label: -strength[label])[:MAX_CANDIDATES]
+    threshold = MIN_STATISTIC_SHARE * strength[order[0]]
+    return [label for k, label in enumerate(order) if k < 2 or strength[label] > threshold]
 
 
 def _is_much_weaker(term: Term, scores: Sequence[CandidateScore], threshold: float) -> bool:

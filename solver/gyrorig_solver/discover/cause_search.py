@@ -1,10 +1,11 @@
 """Stepwise selection of causes: significant causes are named and fitted one after the other.
 
 Forward: all causes are scored, the best candidates and their confusable causes are fitted
-exactly, and the candidate with the most evidence is added to the full fit, until no cause is
-significant. Backward: a cause that the others make redundant is removed. At the end each cause is
-compared with all alternatives, all else fitted, and can be replaced. A fit that does not converge
-is no reason for any of these moves. The result is the model with the most evidence of all that the
+exactly, and the candidate with the most evidence is added to the full fit, until no leading cause
+is significant. Backward: a cause that the others make redundant is removed. Then each cause is
+compared with all alternatives, all else fitted, and can be replaced, and weaker candidates are
+fitted; where one of these changes the model, the search continues. A fit that does not converge is
+no reason for any of these moves. The result is the model with the most evidence of all that the
 search visited.
 
 What to use when: `search_causes` from a fit of the base model, whatever its reference is.
@@ -19,8 +20,10 @@ from gyrorig_solver.discover.candidate_fits import (
     fit_leading,
     global_p_value,
     is_lag_significant,
+    leading_labels,
 )
 from gyrorig_solver.discover.cause_ranking import RankedCause, review_ranking
+from gyrorig_solver.discover.clock_fault_comparison import compare_clock_faults
 from gyrorig_solver.discover.exact_fit import FittedCandidate
 from gyrorig_solver.discover.extended_fit import extend_fit, refit_events
 from gyrorig_solver.discover.fit_space import FitSpace, NoiseAlternative, Space
@@ -87,15 +90,31 @@ class _Search(Generic[Space]):
         self._doubted: set[str] = set()
         self._noise_alternatives: list[NoiseAlternative] = []
         self._considered: dict[str, set[str]] = {}
+        # By causes of the model and use of typical noise: those whose exact fit is not significant.
+        self._rejected: dict[tuple[frozenset[str], bool], set[str]] = {}
         self._gains_by_label: Mapping[str, float] = {}
         self._memory = _SearchMemory([base])
+        self._ranking: tuple[Space, Space, tuple[RankedCause, ...]] | None = None  # of a model
         self._last_evaluation = base.effort.evaluations + MAX_SEARCH_EVALUATIONS
 
     def run(self) -> SearchResult[Space]:
-        """Add and remove causes until none is significant; rank them and return the result.
+        """Add, remove and replace causes until none is significant; return the ranked result.
 
         A search that reaches its limit ends with the best model so far.
         """
+        reviewed: set[frozenset[str]] = set()
+        while True:
+            self._add_causes()
+            self._settle()
+            labels = frozenset(_labels(self._space))
+            if self._is_at_limit or labels in reviewed:
+                return self._ranked_result()
+            reviewed.add(labels)
+            if not self._replace_causes() and not self._try_weaker():
+                return self._ranked_result()
+
+    def _add_causes(self) -> None:
+        """Add the leading cause again and again, and remove those that become redundant."""
         while not self._is_at_limit:
             selection = self._select()
             if selection is not None and len(self._space.fitted_terms) < MAX_CAUSES:
@@ -103,14 +122,16 @@ class _Search(Generic[Space]):
             elif self._typical and self._doubted:
                 self._use_fitted_noise()
             elif self._eliminate():
-                break
+                return
+
+    def _settle(self) -> None:
+        """Continue with the best visited model, with its convergence confirmed."""
         best = best_model(self._space, self._memory.visited)
         if best is not self._space:
             self._continue_with(best)
             self._gains_by_label = {}
         if self._space is not self._memory.visited[0]:
             self._continue_with(self._space.confirm())
-        return self._ranked_result()
 
     def _continue_with(self, space: Space) -> None:
         if space is not self._space:
@@ -127,8 +148,11 @@ class _Search(Generic[Space]):
     def _left_out(self) -> set[str]:
         return self._excluded | self._doubted | self._memory.unconverged
 
-    def _select(self) -> _Selection | None:
-        """Score all causes that are not fitted; return the best significant candidate."""
+    def _select(self, with_weaker: bool = False) -> _Selection | None:
+        """Score all causes that are not fitted; return the best significant candidate.
+
+        `with_weaker`: fit the other candidates, after the exact fits of the leading ones failed.
+        """
         fitted_labels = _labels(self._space)
         if self._scored_projection is not self._projection:
             terms = [term for term in self._terms if term_label(term) not in fitted_labels]
@@ -140,16 +164,23 @@ class _Search(Generic[Space]):
             # A clock that is set right often resembles no cause of the first pass.
             is_late = is_lag_significant(self._projection, self._tests)
             significant = usable[:1] if is_late else []
-        if not significant:
-            return None
-        left_out = fitted_labels | self._left_out
-        candidates = fit_leading(
-            self._projection, significant, usable, left_out, self._tests, self._fit_law
-        )
-        considered = frozenset(term_label(other.extension.term) for other, _ in candidates)
-        for candidate, trials in sorted(candidates, key=lambda pair: -pair[0].log_evidence):
-            if global_p_value(candidate, trials, self._tests) < FALSE_ALARM_RATE:
-                return _Selection(candidate, trials, considered)
+        model = frozenset(fitted_labels), self._typical
+        rejected = self._rejected.setdefault(model, set())
+        if with_weaker:
+            significant = [score for score in significant if term_label(score.term) not in rejected]
+        while significant:
+            left_out = fitted_labels | self._left_out
+            candidates = fit_leading(
+                self._projection, significant, usable, left_out, self._tests, self._fit_law
+            )
+            considered = frozenset(term_label(other.extension.term) for other, _ in candidates)
+            for candidate, trials in sorted(candidates, key=lambda pair: -pair[0].log_evidence):
+                if global_p_value(candidate, trials, self._tests) < FALSE_ALARM_RATE:
+                    return _Selection(candidate, trials, considered)
+            rejected |= leading_labels(significant) | considered | self._left_out
+            if not with_weaker:
+                return None
+            significant = [score for score in significant if term_label(score.term) not in rejected]
         return None
 
     def _fit_law(self, term: Term, needed_nats: float) -> FittedCandidate | None:
@@ -181,6 +212,32 @@ class _Search(Generic[Space]):
         if space is not self._space:
             self._continue_with(space)
         return is_complete
+
+    def _replace_causes(self) -> bool:
+        """Replace causes by better alternatives; return whether the model is a new one.
+
+        An early cause can stand for several that were not in the model yet, so that other causes
+        are significant in addition to what replaces it.
+        """
+        replaced, _ = self._rank()
+        if replaced is self._space:
+            replaced = compare_clock_faults(self._space, self._terms, self._tests)
+        visited = [_labels(space) for space in self._memory.visited]
+        if replaced is self._space or _labels(replaced) in visited:
+            return False
+        self._excluded.clear()
+        self._memory.visit(replaced)
+        self._continue_with(replaced)
+        return True
+
+    def _try_weaker(self) -> bool:
+        """Try a weaker candidate where no leading one passes; return whether there is one."""
+        if len(self._space.fitted_terms) >= MAX_CAUSES:
+            return False
+        selection = self._select(with_weaker=True)
+        if selection is not None:
+            self._try_cause(selection)
+        return selection is not None
 
     def _try_cause(self, selection: _Selection) -> None:
         """Fit a cause in addition to the others, and keep it if it passes its tests."""
@@ -244,15 +301,7 @@ class _Search(Generic[Space]):
 
     def _ranked_result(self) -> SearchResult[Space]:
         remarks = self._limit_remarks()
-        space, ranked_causes = review_ranking(
-            self._space,
-            self._terms,
-            self._tests,
-            self._considered,
-            lambda swapped: (
-                swapped.convergence.converged and not _causes_without_gain(swapped) and not remarks
-            ),
-        )
+        space, ranked_causes = self._rank()
         if space is not self._space:
             space = space.confirm()
         keep = space is self._space and (not self._typical or space.has_typical_noise)
@@ -264,6 +313,23 @@ class _Search(Generic[Space]):
             tuple(self._noise_alternatives),
             (*remarks, *self._memory.remarks(space)),
         )
+
+    def _rank(self) -> tuple[Space, tuple[RankedCause, ...]]:
+        """Rank the causes of the model; return the last result if the model is the same."""
+        if self._ranking is None or self._ranking[0] is not self._space:
+            space, ranked_causes = review_ranking(
+                self._space,
+                self._terms,
+                self._tests,
+                self._considered,
+                lambda swapped: (
+                    swapped.convergence.converged
+                    and not _causes_without_gain(swapped)
+                    and not self._is_at_limit
+                ),
+            )
+            self._ranking = self._space, space, ranked_causes
+        return self._ranking[1:]
 
     def _limit_remarks(self) -> tuple[str, ...]:
         """Return the remark that the search stopped at its limit, and what it had found."""

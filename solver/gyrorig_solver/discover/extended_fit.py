@@ -50,6 +50,8 @@ MIN_GAIN_NATS = 2.0  # less is no other place, but the same one better found
 # From where: what is best to first order, or by damped steps from next to none; where much is
 # swallowed the former is wild, where little is the latter may stay on the plain it began on.
 START_VALUES = (0.0, 1e-9)
+SCANNED_WIDTHS = np.geomspace(0.7, 1.7, 8)  # of a dead band, relative to that of the failed fit
+SCAN_EVALUATIONS = 15  # of each scanned fit
 MIN_EVENT_SHIFT_SIGMA = 0.1  # deviations: less is no reason to fit all causes again
 OBSERVABLE_SIGMA = 2.0  # deviations of an entry of the gain: then the data show that it changes
 MAX_GAIN_CHANGE = 0.2  # of a gain: a board that is turned by more was put on another way
@@ -65,7 +67,33 @@ def extend_fit(space: Space, extension: FittedTerm) -> Space:
     if not extended.convergence.converged and len(sizes) < extension.free_indices.size:
         sizes_only = replace(extension, free_indices=np.array(sizes, dtype=np.int64))
         extended = space.refit([*others, sizes_only])
+    if not extended.convergence.converged:
+        extended = _fit_from_scanned_widths(space, [*others, extension]) or extended
     return extended.refit_gain() if extended.convergence.converged else extended
+
+
+def _fit_from_scanned_widths(space: Space, causes: Sequence[FittedTerm]) -> Space | None:
+    """Return the likeliest fit from several widths of a dead band; None if none converges.
+
+    A width that passes the rate of a long move changes the likelihood by a jump, which no step of
+    a fit crosses. From the right side of all jumps the fit is smooth. The widths of all axes are
+    equal at first.
+    """
+    bands = [k for k, cause in enumerate(causes) if cause.term.stage == "threshold"]
+    if not bands:
+        return None
+    band = causes[bands[0]]
+    sizes = list(value_indices(band.term, role="size"))
+    fits = []
+    for factor in SCANNED_WIDTHS:
+        values = band.values.copy()
+        values[sizes] = factor * float(np.mean(band.values[sizes]))
+        scanned = [*causes[: bands[0]], replace(band, values=values), *causes[bands[0] + 1 :]]
+        fits.append(space.refit(scanned, SCAN_EVALUATIONS))
+    converged = [fit for fit in fits if fit.convergence.converged]
+    if not converged:
+        return None
+    return converged[int(np.argmax(space.log_likelihoods(converged)))]
 
 
 def refit_events(space: Space) -> Space:

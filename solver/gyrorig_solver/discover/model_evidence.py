@@ -17,15 +17,19 @@ from gyrorig_solver.model import value_indices, value_parameters
 # A visited model replaces the last one only if noise does not explain its lead, and so that a
 # cause that was removed as insignificant does not return.
 MIN_LEAD_NATS = 10.0
+HELD_SHAPES = 400  # different values of a held shape, as the periods of `clock_sawtooth`
 EVENT_STD_S = 0.01  # usual uncertainty of an event's time, which a fit holds fixed
 
 
-def best_model(last: Space, visited: Sequence[Space]) -> Space:
+def best_model(
+    last: Space, visited: Sequence[Space], min_lead_nats: float = MIN_LEAD_NATS
+) -> Space:
     """Return the visited model with the most evidence; `last` unless another one clearly leads.
 
     Args:
         last: where the search ended.
         visited: other models of the same recordings; those that did not converge do not count.
+        min_lead_nats: evidence by which another model must lead.
     """
     candidates = [space for space in visited if space.convergence.converged and space is not last]
     if not candidates:
@@ -34,7 +38,7 @@ def best_model(last: Space, visited: Sequence[Space]) -> Space:
     likelihoods = last.log_likelihoods(models)
     evidence = [nats + _occam_nats(model) for nats, model in zip(likelihoods, models, strict=True)]
     best = int(np.argmax(evidence))
-    return models[best] if evidence[best] > evidence[0] + MIN_LEAD_NATS else last
+    return models[best] if evidence[best] > evidence[0] + min_lead_nats else last
 
 
 def _occam_nats(space: FitSpace) -> float:
@@ -49,6 +53,9 @@ def _occam_nats(space: FitSpace) -> float:
         events = value_indices(fitted_term.term, role="event") if fitted_term.is_active else ()
         total -= len(events) * float(np.log(space.duration_s / EVENT_STD_S))
         parameters = value_parameters(fitted_term.term)
+        if fitted_term.term.holds_shapes:
+            held = set(value_indices(fitted_term.term, role="shape")) - {*fitted_term.free_indices}
+            total -= len(held) * float(np.log(HELD_SHAPES))
         for index in fitted_term.free_indices:
             parameter = parameters[index]
             if parameter.role == "size":

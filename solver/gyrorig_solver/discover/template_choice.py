@@ -70,7 +70,7 @@ def all_templates(projection: NuisanceProjector, term: Term) -> FloatArray:
 def _lost_step_templates(projection: NuisanceProjector, term: Term) -> tuple[FloatArray, int]:
     times, gains, scanned = [], [], 0
     for scene, whitened_residual in zip(
-        projection.states, projection.weighted_residual(), strict=True
+        projection.states_before(term), projection.weighted_residual(), strict=True
     ):
         if not scene.has_angles or not is_active_in(term, scene):
             continue
@@ -78,7 +78,7 @@ def _lost_step_templates(projection: NuisanceProjector, term: Term) -> tuple[Flo
         span = candidates.first_block[:, None] + np.arange(candidates.values.shape[1])
         score = np.einsum("rmi,rmi->r", whitened_residual[span], candidates.values)
         energy = np.einsum("rmi,rmi->r", candidates.values, candidates.values)
-        times.append(candidates.time_s)
+        times.append(scene.true_times_s(candidates.time_s))
         gains.append(score**2 / np.maximum(energy, 1e-30))
         scanned += candidates.time_s.size
     templates = np.tile(start_values(term), (MAX_PEAKS, 1))

@@ -273,6 +273,11 @@ class NuisanceProjector(NuisanceSpace):
         """The signal states of all parts."""
         return [state for segment in self.segments for state in segment.states]
 
+    def states_before(self, term: Term) -> list[SignalState]:
+        """Return the signal state of each part at a term's input, with all filters and delays."""
+        parts = self._cascades_of(term, exact=False)
+        return [cascade.state_before(term) for part in parts for cascade in part]
+
     def weighted_residual(self) -> list[FloatArray]:
         """Return the residual times the inverse noise covariance, (n, 3) per part.
 

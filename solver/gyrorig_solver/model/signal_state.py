@@ -355,6 +355,12 @@ class SignalState:
         total = _sum_of_changes(self.added_output_rate_rad_s, change_rad_s)
         return replace(self, added_output_rate_rad_s=total)
 
+    def true_times_s(self, time_s: FloatArray) -> FloatArray:
+        """Return when samples with these timestamps were taken, (k,)."""
+        if self.sampling_delay_s is None:
+            return time_s
+        return time_s + np.interp(time_s, self.sample_times_s, self.sampling_delay_s)
+
     def with_delay(self, delay_s: FloatArray) -> Self:
         """Return the state with delayed instants, (instants,)."""
         return replace(self, sampling_delay_s=_sum_of_changes(self.sampling_delay_s, delay_s))

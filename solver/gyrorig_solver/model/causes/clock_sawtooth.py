@@ -5,7 +5,7 @@ the share of the period that has passed. The clock gains e in each second, and e
 it back by e P. A daemon that corrects a host's clock in steps does this, and so does a firmware
 that restarts its sample timer at each message of a time server. A recording with one correction
 cannot show the period: its causes are `clock_skew` and `clock_step`. Therefore the search starts
-with periods of which the recording contains two corrections.
+with periods of which the recording contains two corrections, each with moves before and after it.
 """
 
 import numpy as np
@@ -79,8 +79,8 @@ class ClockSawtooth(TimeTerm):
         return 0.5 * abs(float(values[0] * values[1]))
 
     def template_bank(self, state: SignalState) -> FloatArray:
-        """Return periods with two corrections in the recording, each at several phases."""
-        begin_s, end_s = state.context.begin_s, state.context.end_s
+        """Return periods with two corrections between moves, each at several phases."""
+        begin_s, end_s = _seen_span_s(state)
         length_s = end_s - begin_s
         most = min(MAX_TEETH, length_s / MIN_PERIOD_S)
         periods_s = length_s / np.arange(MIN_TEETH, max(most, MIN_TEETH) + TEETH_STEP, TEETH_STEP)
@@ -120,6 +120,20 @@ class ClockSawtooth(TimeTerm):
         before, after = (0.5 * np.floor(x) + 0.5 * (x - np.floor(x)) ** 2 for x in turns)
         mean = (after - before) * period_s / (2.0 * half_s)
         return np.asarray(-period_s * (mean - 0.5), dtype=np.float64)
+
+
+def _seen_span_s(state: SignalState) -> tuple[float, float]:
+    """Return the times between which moves of a recording show a correction."""
+    begin_s, end_s = state.context.begin_s, state.context.end_s
+    moving_s = state.time_s[state.moving.any(axis=0)]
+    if not moving_s.size:
+        return begin_s, end_s
+    # A part that begins or ends within the recording has moves beyond its own.
+    if state.time_s[0] <= begin_s:
+        begin_s = float(moving_s[0])
+    if state.time_s[-1] >= end_s - state.step_s:
+        end_s = float(moving_s[-1])
+    return begin_s, end_s
 
 
 TERM = ClockSawtooth()

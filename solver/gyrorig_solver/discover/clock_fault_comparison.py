@@ -1,0 +1,98 @@
+"""Several clock faults of a model, compared with fewer and with other ones.
+
+A skew with a saw-tooth follows a step of a clock nearly as well as the step. A step with a
+saw-tooth imitates a skew, and a skew with a saw-tooth a skew with a step. A search that adds one
+cause at a time can end with the wrong pair: its first cause was the best one before others were in
+the model.
+
+What to use when: `compare_clock_faults` for a model to which no cause can be added.
+"""
+
+import math
+from collections.abc import Sequence
+from itertools import combinations
+
+from gyrorig_solver.data import FloatArray
+from gyrorig_solver.discover.exact_fit import fit_candidate
+from gyrorig_solver.discover.extended_fit import refit_events
+from gyrorig_solver.discover.fit_space import Space
+from gyrorig_solver.discover.model_evidence import best_model
+from gyrorig_solver.discover.score_tests import scan_catalogue
+from gyrorig_solver.discover.testable_terms import FALSE_ALARM_RATE
+from gyrorig_solver.model import Term, term_label, value_indices
+
+MIN_LEAD_NATS = 1.0  # of the evidence for another fault in the place of one
+
+
+def compare_clock_faults(space: Space, terms: Sequence[Term], tests: int) -> Space:
+    """Return the model with one other clock fault in place of two or of one, if more probable.
+
+    The second fault is one of all causes that were tested, each with the same prior probability.
+    So the evidence for two must be larger than that for one by the logarithm of their number.
+
+    Args:
+        space: the fit of the model; with less than two clock faults it is returned.
+        terms: the testable causes.
+        tests: how many share the false alarms.
+    """
+    fitted_labels = {term_label(fitted_term.term) for fitted_term in space.fitted_terms}
+    faults = [
+        k
+        for k, fitted_term in enumerate(space.fitted_terms)
+        if fitted_term.term.part == "clock" and fitted_term.free_indices.size
+    ]
+    if len(faults) < 2:
+        return space
+    others = [
+        term for term in terms if term.part == "clock" and term_label(term) not in fitted_labels
+    ]
+    for replaced, min_lead_nats in (
+        (list(combinations(faults, 2)), -math.log(tests)),
+        ([(k,) for k in faults], MIN_LEAD_NATS),
+    ):
+        models = [
+            model for causes in replaced for model in _replacements(space, causes, others, tests)
+        ]
+        best = best_model(space, models, min_lead_nats)
+        if best is not space:
+            return best
+    return space
+
+
+def _replacements(
+    space: Space, replaced: tuple[int, ...], terms: Sequence[Term], tests: int
+) -> list[Space]:
+    """Return the model with each significant clock fault in place of some causes.
+
+    The fault's event is searched from the best template and from the events of the replaced causes.
+    Far from it, samples next to the true one count as outliers and cannot attract it.
+    """
+    projector = space.projector_without(*replaced)
+    remaining = [term for k, term in enumerate(space.fitted_terms) if k not in replaced]
+    events_s = [
+        float(space.fitted_terms[k].values[index])
+        for k in replaced
+        for index in value_indices(space.fitted_terms[k].term, role="event")
+    ]
+    models = []
+    for term in terms:
+        scores = scan_catalogue(projector, [term], tests)
+        if not scores or scores[0].p_value >= FALSE_ALARM_RATE:
+            continue
+        starts = [scores[0].template, *_with_events(term, scores[0].template, events_s)]
+        for start in starts:
+            fitted = fit_candidate(projector, term, None, [start])
+            if fitted is not None and not fitted.infeasible:
+                models.append(refit_events(space.refit([*remaining, fitted.extension])))
+    return models
+
+
+def _with_events(term: Term, template: FloatArray, events_s: Sequence[float]) -> list[FloatArray]:
+    """Return a template with each of some times in place of its event."""
+    indices = list(value_indices(term, role="event"))
+    templates = []
+    for event_s in events_s if indices else ():
+        moved = template.copy()
+        moved[indices] = event_s
+        templates.append(moved)
+    return templates

@@ -1,0 +1,56 @@
+"""Several large causes in one recording: each of them is found in spite of the others."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from tests.hidden.truth.draws import drawn
+from tests.hidden.truth.make import make
+from tests.hidden.truth.session import BOARD
+from tests.support.board_fits import explain_recordings, fit_base_model
+
+from gyrorig_protocol.recording.reader import read_recording
+from gyrorig_solver.discover.template_choice import all_templates
+from gyrorig_solver.estimate import FittedTerm, NuisanceProjector, refit_with_terms
+from gyrorig_solver.model.catalogue import catalogue
+
+pytestmark = pytest.mark.long
+
+CLOCK_STEP_S = 8e-3  # of the session below; a pulse of lost steps is 10 ms long
+
+
+def recording_of(seed: int, tmp_path: Path) -> Path:
+    """Return the recording of a session with four to eight causes."""
+    session = drawn(seed, "many")
+    assert session is not None
+    make(tmp_path, session)
+    return tmp_path / "recording.mcap"
+
+
+def test_lost_steps_are_looked_for_when_a_clock_step_has_moved_them(tmp_path: Path) -> None:
+    """The steps were lost 40 s after the clock stepped by 8 ms."""
+    recording = read_recording(recording_of(12400032, tmp_path))
+    base = fit_base_model([recording], BOARD)
+    step = catalogue()["clock_step"]
+    stepped = refit_with_terms(
+        base, [FittedTerm(step, np.array([-CLOCK_STEP_S, 46.92]), np.array([0]))]
+    )
+    lost_steps = catalogue()["lost_steps"]
+    before, after = (
+        all_templates(NuisanceProjector.at_fit(solution), lost_steps)[0, -1]
+        for solution in (base, stepped)
+    )
+    assert after - before == pytest.approx(CLOCK_STEP_S, abs=6e-3)
+    findings = explain_recordings([recording], BOARD).findings
+    assert {"clock_step", "lost_steps", "g_sensitivity", "axis_nonorthogonality"} <= {
+        cause.cause for cause in findings.causes
+    }
+    assert findings.unexplained is None
+
+
+def test_a_dead_band_next_to_the_rate_of_a_long_move_is_fitted(tmp_path: Path) -> None:
+    """The likelihood jumps where a width passes the rate of a long move."""
+    recording = read_recording(recording_of(12400009, tmp_path))
+    findings = explain_recordings([recording], BOARD).findings
+    assert {cause.cause for cause in findings.causes} >= {"dead_zone", "tilt_sag"}
+    assert findings.unexplained is None
