@@ -11,7 +11,7 @@ search visited.
 What to use when: `search_causes` from a fit of the base model, whatever its reference is.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Generic
 
@@ -90,8 +90,10 @@ class _Search(Generic[Space]):
         self._doubted: set[str] = set()
         self._noise_alternatives: list[NoiseAlternative] = []
         self._considered: dict[str, set[str]] = {}
-        # By causes of the model and use of typical noise: those whose exact fit is not significant.
-        self._rejected: dict[tuple[frozenset[str], bool], set[str]] = {}
+        self._rejected: set[str] = (
+            set()
+        )  # by the last selection: their exact fits are insignificant
+        self._has_weaker = False  # whether other candidates were significant in it
         self._gains_by_label: Mapping[str, float] = {}
         self._memory = _SearchMemory([base])
         self._ranking: tuple[Space, Space, tuple[RankedCause, ...]] | None = None  # of a model
@@ -164,10 +166,10 @@ class _Search(Generic[Space]):
             # A clock that is set right often resembles no cause of the first pass.
             is_late = is_lag_significant(self._projection, self._tests)
             significant = usable[:1] if is_late else []
-        model = frozenset(fitted_labels), self._typical
-        rejected = self._rejected.setdefault(model, set())
         if with_weaker:
-            significant = [score for score in significant if term_label(score.term) not in rejected]
+            significant = _without(significant, self._rejected)
+        else:
+            self._rejected, self._has_weaker = set(), False
         while significant:
             left_out = fitted_labels | self._left_out
             candidates = fit_leading(
@@ -177,10 +179,11 @@ class _Search(Generic[Space]):
             for candidate, trials in sorted(candidates, key=lambda pair: -pair[0].log_evidence):
                 if global_p_value(candidate, trials, self._tests) < FALSE_ALARM_RATE:
                     return _Selection(candidate, trials, considered)
-            rejected |= leading_labels(significant) | considered | self._left_out
+            self._rejected |= leading_labels(significant) | considered | self._left_out
+            significant = _without(significant, self._rejected)
             if not with_weaker:
+                self._has_weaker = bool(significant)
                 return None
-            significant = [score for score in significant if term_label(score.term) not in rejected]
         return None
 
     def _fit_law(self, term: Term, needed_nats: float) -> FittedCandidate | None:
@@ -232,7 +235,7 @@ class _Search(Generic[Space]):
 
     def _try_weaker(self) -> bool:
         """Try a weaker candidate where no leading one passes; return whether there is one."""
-        if len(self._space.fitted_terms) >= MAX_CAUSES:
+        if not self._has_weaker or len(self._space.fitted_terms) >= MAX_CAUSES:
             return False
         selection = self._select(with_weaker=True)
         if selection is not None:
@@ -374,6 +377,10 @@ class _SearchMemory(Generic[Space]):
             for label, reason in self._reasons.items()
             if label not in fitted
         )
+
+
+def _without(scores: Sequence[CandidateScore], rejected: set[str]) -> list[CandidateScore]:
+    return [score for score in scores if term_label(score.term) not in rejected]
 
 
 def _labels(space: FitSpace) -> set[str]:

@@ -27,7 +27,7 @@ from gyrorig_solver.estimate import (
     WhitenedSignals,
 )
 from gyrorig_solver.estimate.whitened_signals import join_channels
-from gyrorig_solver.model import Term
+from gyrorig_solver.model import SignalState, Term
 from gyrorig_solver.numerics import chi2_upper_tail, positive_part
 
 MIN_RELATIVE_INFORMATION = 1e-7  # of the values' own: a direction with less information is ignored
@@ -78,6 +78,10 @@ class JointProjector(NuisanceProjector):
         return join_channels(
             [board.evaluate_together(functions, count, term) for board in self.boards]
         )
+
+    def states_before(self, term: Term) -> list[SignalState]:
+        """Return the signal state of each part of all boards at a term's input."""
+        return [state for board in self.boards for state in board.states_before(term)]
 
     def term_derivatives(
         self, term: Term, values: FloatArray, free: IntArray | Sequence[int]
