@@ -37,6 +37,7 @@ from gyrorig_solver.estimate import NuisanceProjector
 from gyrorig_solver.model import Term, term_label
 
 MAX_CAUSES = 12
+MAX_ROUNDS = 3  # of adding causes; the ranking between two of them takes as long as the rest
 # Of causes that are significant with typical noise levels only: the bias has a random walk.
 MAX_NOISE_ALTERNATIVES = 3
 # Of the likelihood, by all refits; the ranking of the causes that were found comes on top. A search
@@ -96,6 +97,7 @@ class _Search(Generic[Space]):
         self._has_weaker = False  # whether other candidates were significant in it
         self._gains_by_label: Mapping[str, float] = {}
         self._memory = _SearchMemory([base])
+        self._reviewed: list[set[str]] = []  # causes of the models to which none could be added
         self._ranking: tuple[Space, Space, tuple[RankedCause, ...]] | None = None  # of a model
         self._last_evaluation = base.effort.evaluations + MAX_SEARCH_EVALUATIONS
 
@@ -104,14 +106,13 @@ class _Search(Generic[Space]):
 
         A search that reaches its limit ends with the best model so far.
         """
-        reviewed: set[frozenset[str]] = set()
         while True:
             self._add_causes()
             self._settle()
-            labels = frozenset(_labels(self._space))
-            if self._is_at_limit or labels in reviewed:
+            is_last = self._is_at_limit or len(self._reviewed) == MAX_ROUNDS - 1
+            if is_last or _labels(self._space) in self._reviewed:
                 return self._ranked_result()
-            reviewed.add(labels)
+            self._reviewed.append(_labels(self._space))
             if not self._replace_causes() and not self._try_weaker():
                 return self._ranked_result()
 
@@ -225,8 +226,7 @@ class _Search(Generic[Space]):
         replaced, _ = self._rank()
         if replaced is self._space:
             replaced = compare_clock_faults(self._space, self._terms, self._tests)
-        visited = [_labels(space) for space in self._memory.visited]
-        if replaced is self._space or _labels(replaced) in visited:
+        if replaced is self._space or _labels(replaced) in self._reviewed:
             return False
         self._excluded.clear()
         self._memory.visit(replaced)
