@@ -48,6 +48,7 @@ def test_the_finder_as_it_ships_meets_the_goals_on_a_few(recorded_sessions: Sess
     assert missed(figures([recorded_sessions.outcome(line) for line in SMALL]), BARS) == []
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("variant", sorted(set(VARIANTS) - {REAL}))
 def test_a_finder_made_worse_misses_a_goal(recorded_sessions: Sessions, variant: str) -> None:
     outcomes = []

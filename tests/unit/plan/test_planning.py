@@ -66,6 +66,7 @@ def test_beats_the_paper_at_equal_duration(
     assert ours.motion_offset_std_s < 0.5 * paper.motion_offset_std_s
 
 
+@pytest.mark.long
 def test_emulated_rig_confirms_it(
     planned: Path, record: Record, rig: RigModel, sensor: SensorModel
 ) -> None:
