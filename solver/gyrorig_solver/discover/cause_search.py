@@ -91,9 +91,7 @@ class _Search(Generic[Space]):
         self._doubted: set[str] = set()
         self._noise_alternatives: list[NoiseAlternative] = []
         self._considered: dict[str, set[str]] = {}
-        self._rejected: set[str] = (
-            set()
-        )  # by the last selection: their exact fits are insignificant
+        self._rejected: set[str] = set()  # by the exact fits of the last selection
         self._has_weaker = False  # whether other candidates were significant in it
         self._gains_by_label: Mapping[str, float] = {}
         self._memory = _SearchMemory([base])

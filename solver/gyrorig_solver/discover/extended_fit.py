@@ -6,6 +6,9 @@ rate would then be selected for the gain's error (a slip of the board before its
 non-orthogonal axis). Therefore the gain is searched again as if all rates were visible, and the
 result is judged by its exact likelihood.
 
+A dead band is fitted from several widths if its fit does not converge, because the likelihood jumps
+where the width passes the rate of a long move.
+
 What to use when: `extend_fit` for a candidate of the search; `refit_events` afterwards, because
 an event was found before the causes that came later; `refit_gain_exactly` for a fit to a motion
 with a clipping cause.
