@@ -159,6 +159,59 @@ def test_ringing_solves_its_equation(window_s: float) -> None:
     assert row == pytest.approx(fine_steps(axis)[33000:33100], abs=1e-9)
 
 
+@pytest.mark.parametrize("gap", [1.7, 12.0])
+def test_the_load_behind_a_gap_rings_when_it_begins_to_move(gap: float) -> None:
+    share, frequency_hz, damping = 0.1, 9.0, 0.05
+    w = 2 * math.pi * frequency_hz
+
+    def geared(*modes: Ringing) -> StepperAxis:
+        return driven(AxisTruth(ARCSEC, step_effects=(Backlash(gap),), angle_effects=modes))
+
+    x = fine_steps(geared())
+    axis = geared(Ringing(share, frequency_hz, damping))
+    system = ([-1.0, 0.0, 0.0], [1.0, 2 * damping * w, w * w])
+    _, q, _ = signal.lsim(system, x, FINE_S * np.arange(len(x), dtype=np.float64))
+    added = fine_steps(axis) - x
+    # A straight line has the jump of the speed, here up to 300 steps/s, anywhere in a sample.
+    assert added == pytest.approx(share * q, abs=2 * 300.0 * FINE_S * share)
+    motor = fine_steps(driven(AxisTruth(ARCSEC)))
+    _, of_motor, _ = signal.lsim(system, motor, FINE_S * np.arange(len(x), dtype=np.float64))
+    assert np.abs(share * (of_motor - q)).max() > 0.1 * share * np.abs(q).max()
+    row = axis.angles_rad(3.3, FINE_S, 100) / axis.truth.step_rad
+    assert row == pytest.approx(fine_steps(axis)[33000:33100], abs=1e-9)
+
+
+def test_a_load_behind_a_gap_forgets_what_a_command_has_changed() -> None:
+    def axis_after(looks_ahead: bool) -> np.ndarray:
+        effects = (Ringing(0.1, 9.0, 0.05),)
+        truth = AxisTruth(ARCSEC, step_effects=(Backlash(30.0),), angle_effects=effects)
+        axis = driven(truth, [(0.0, 2000.0)])
+        if looks_ahead:
+            axis.angles_rad(0.0, 1e-3, 4000)
+        axis.halt(0.05)
+        axis.move(0.06, -100.0)
+        return axis.angles_rad(0.0, 1e-3, 4000)
+
+    assert axis_after(True) == pytest.approx(axis_after(False), abs=1e-15)
+
+
+def test_a_base_twists_when_the_load_behind_a_gap_begins_to_move() -> None:
+    c, gap, fine_s = 5e-5, 12.0, 1e-5
+    moves: Moves = [(0.0, 300.0), (1.5, 0.0)]
+    ramp_s = (math.sqrt(58.0**2 + 2 * 3900.0 * gap) - 58.0) / 3900.0  # until the gap is crossed
+    plain, twisted = (
+        driven(AxisTruth(ARCSEC, step_effects=(Backlash(gap),), angle_effects=effects), moves)
+        for effects in ((), (BaseCompliance(c),))
+    )
+    count = round((ramp_s + 0.01) / fine_s)
+    twist = twisted.angles_rad(1.5, fine_s, count) - plain.angles_rad(1.5, fine_s, count)
+    twist /= plain.truth.step_rad
+    engaged = round(ramp_s / fine_s)
+    assert twist[: engaged - 1] == pytest.approx(0.0, abs=1e-9)
+    # the impulse of the twist is -c times the change of the speed, here downwards
+    assert twist.sum() * fine_s == pytest.approx(c * (58.0 + 3900.0 * (ramp_s + 0.01)), rel=0.05)
+
+
 def test_ringing_dies_out_with_its_damping() -> None:
     mode = Ringing(0.1, 10.0, 0.05)
     axis = driven(AxisTruth(ARCSEC, angle_effects=(mode,)), [(0.0, 600.0)])

@@ -11,6 +11,7 @@ therefore on the lower flank, y = x, which is the initial state.
 """
 
 import math
+from bisect import bisect_left
 
 import numpy as np
 
@@ -26,6 +27,9 @@ from gyrorig_daemon.emulator.physics.effects.axis_effects import Motor, StateHis
 from gyrorig_daemon.emulator.physics.effects.rig_hooks import RigHooks
 
 _NO_OFFSET = np.zeros(1)
+_SEARCH_S = 60.0  # a gap that the motor has not crossed by then counts as crossed
+_BISECTIONS = 50
+_ROUNDING_STEPS = 1e-9
 
 
 class Backlash(UnitCause):
@@ -52,6 +56,8 @@ class Backlash(UnitCause):
         self._begin = begin
         self._shift_steps = shift_steps
         self._history: StateHistory[float | None] = StateHistory(None)
+        self._rests_s: list[tuple[float, float]] = []  # of the wheel while the rotor moves
+        self._searched_s = -1.0  # rests that begin until then are known
 
     @classmethod
     def from_findings(cls, stated: StatedCause) -> tuple[CarriedCause, ...]:
@@ -95,9 +101,46 @@ class Backlash(UnitCause):
                 wheel = self._clipped(motor, reversals[k], wheel)
         return passed + self._shift_steps if self._shift_steps else passed
 
+    def standing_s(self, motor: Motor, after_s: float, until_s: float) -> list[tuple[float, float]]:
+        """See `axis_effects.StepEffect`."""
+        if self._searched_s < until_s:
+            starts = motor.reversal_times_s(self._searched_s, until_s)
+            for k, start_s in enumerate(starts):
+                end_s = starts[k + 1] if k + 1 < len(starts) else _next_reversal_s(motor, start_s)
+                crossed_s = self._crossed_s(motor, start_s, end_s)
+                if crossed_s > start_s:
+                    self._rests_s.append((start_s, crossed_s))
+            self._searched_s = until_s
+        first = bisect_left(self._rests_s, after_s, key=lambda rest: rest[1])
+        return [rest for rest in self._rests_s[first:] if rest[0] <= until_s]
+
     def forget(self, time_s: float) -> None:
         """See `axis_effects.StepEffect`."""
         self._history.forget(time_s)
+        while self._rests_s and self._rests_s[-1][1] >= time_s:
+            time_s = min(time_s, self._rests_s.pop()[0])
+        self._searched_s = min(self._searched_s, math.nextafter(time_s, -math.inf))
+
+    def _crossed_s(self, motor: Motor, start_s: float, end_s: float) -> float:
+        """Return when the wheel begins to follow a rotor that is monotonic in an interval."""
+        wheel = self._wheel_before(motor, start_s)
+        rotor_start, rotor_end = self._rotor(motor, start_s), self._rotor(motor, end_s)
+        direction = math.copysign(1.0, rotor_end - rotor_start)
+        face = wheel + self._gap if direction > 0.0 else wheel  # where the rotor pushes the wheel
+        if abs(rotor_end - rotor_start) < _ROUNDING_STEPS:
+            return start_s
+        if direction * (face - rotor_start) < _ROUNDING_STEPS:
+            return start_s
+        if direction * (face - rotor_end) >= 0.0:
+            return end_s
+        low_s, high_s = start_s, end_s
+        for _ in range(_BISECTIONS):
+            middle_s = 0.5 * (low_s + high_s)
+            if direction * (face - self._rotor(motor, middle_s)) > 0.0:
+                low_s = middle_s
+            else:
+                high_s = middle_s
+        return high_s
 
     def _wheel_before(self, motor: Motor, time_s: float) -> float:
         known_s, known = self._history.last_before(time_s)
@@ -116,6 +159,10 @@ class Backlash(UnitCause):
     @staticmethod
     def _rotor(motor: Motor, time_s: float) -> float:
         return float(motor.rotor_steps(time_s, _NO_OFFSET)[0])
+
+
+def _next_reversal_s(motor: Motor, after_s: float) -> float:
+    return next(iter(motor.reversal_times_s(after_s, after_s + _SEARCH_S)), after_s + _SEARCH_S)
 
 
 def _face(stated: StatedCause, axis: str) -> float:

@@ -62,11 +62,8 @@ class BaseCompliance(Cause):
     def added_rad(
         self, motor: Motor, start_s: float, offsets_s: FloatArray, angle_rad: FloatArray
     ) -> FloatArray:
-        """See `axis_effects.AngleEffect`; backward differences, so that the effect is causal."""
-        now, previous, earlier = (
-            motor.driven_steps(start_s - delay * _RISE_S, offsets_s) for delay in range(3)
-        )
-        acceleration = (now - 2.0 * previous + earlier) / _RISE_S**2
+        """See `axis_effects.AngleEffect`; only the load behind the gear has inertia."""
+        acceleration = motor.wheel_acceleration_steps_s2(start_s, offsets_s, _RISE_S)
         return np.asarray(-self._compliance_s2 * motor.step_rad * acceleration)
 
     def forget(self, time_s: float) -> None:

@@ -105,7 +105,7 @@ class Ringing(UnitCause):
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return q, its derivative and the planned speed, each (n,)."""
         q, rate, planned_speed = (np.empty_like(offsets_s) for _ in range(3))
-        segments = motor.planned(start_s, start_s + float(offsets_s[-1]))
+        segments = motor.wheel_planned(start_s, start_s + float(offsets_s[-1]))
         state = self._state_at_start_of(motor, segments[0][0])
         starts = [segment.start_s - start_s for segment, _ in segments[1:]]
         edges = [0, *np.searchsorted(offsets_s, starts).tolist(), len(offsets_s)]
@@ -124,7 +124,7 @@ class Ringing(UnitCause):
         known_s, state = self._history.last_before(target.start_s)
         if known_s == target.start_s:
             return state
-        segments = motor.planned(known_s, target.start_s)
+        segments = motor.wheel_planned(known_s, target.start_s)
         for (segment, _), (following, speed_before) in pairwise(segments):
             state = self._next(state, segment, following, speed_before)
             self._history.keep(following.start_s, state)

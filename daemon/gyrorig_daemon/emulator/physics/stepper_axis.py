@@ -12,6 +12,7 @@ import math
 from bisect import bisect_right
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -167,10 +168,7 @@ class StepperAxis:
     def angles_rad(self, start_s: float, period_s: float, count: int) -> FloatArray:
         """Return the true angle at `start_s + k period_s`, k = 0..count-1, shape (count,)."""
         offsets: FloatArray = period_s * np.arange(count, dtype=np.float64)
-        steps = self.rotor_steps(start_s, offsets)
-        for effect in self.truth.step_effects:
-            steps = effect.passed_steps(self, start_s, offsets, steps)
-        angles = steps * self.truth.step_rad
+        angles = self._wheel_steps(start_s, offsets) * self.truth.step_rad
         gear_angles = angles
         for angle_effect in self.truth.angle_effects:
             angles = angles + angle_effect.added_rad(self, start_s, offsets, gear_angles)
@@ -192,12 +190,24 @@ class StepperAxis:
         indices = np.searchsorted(self._shift_starts, start_s + offsets_s, side="right") - 1
         return np.asarray(steps + np.asarray(self._shifts, dtype=np.float64)[indices])
 
-    def driven_steps(self, start_s: float, offsets_s: FloatArray) -> FloatArray:
-        """See `effects.motor.Motor`."""
+    def _wheel_steps(self, start_s: float, offsets_s: FloatArray) -> FloatArray:
         steps = self.rotor_steps(start_s, offsets_s)
-        for slipped_s, slip_steps in self._slips:
-            steps = steps - slip_steps * (start_s + offsets_s >= slipped_s)
+        for effect in self.truth.step_effects:
+            steps = effect.passed_steps(self, start_s, offsets_s, steps)
         return steps
+
+    def wheel_acceleration_steps_s2(
+        self, start_s: float, offsets_s: FloatArray, rise_s: float
+    ) -> FloatArray:
+        """See `effects.motor.Motor`."""
+        now, previous, earlier = (
+            self._wheel_steps(start_s - delay * rise_s, offsets_s) for delay in range(3)
+        )
+        acceleration = (now - 2.0 * previous + earlier) / rise_s**2
+        for slipped_s, _ in self._slips:
+            since_s = start_s + offsets_s - slipped_s
+            acceleration[(since_s >= 0.0) & (since_s < 2.0 * rise_s)] = 0.0
+        return np.asarray(acceleration)
 
     def reversal_times_s(self, after_s: float, until_s: float) -> list[float]:
         """See `effects.motor.Motor`."""
@@ -209,6 +219,14 @@ class StepperAxis:
     def planned(self, after_s: float, until_s: float) -> list[tuple[Segment, float]]:
         """See `effects.motor.Motor`."""
         return self._train.planned(after_s, until_s)
+
+    def wheel_planned(self, after_s: float, until_s: float) -> list[tuple[Segment, float]]:
+        """See `effects.motor.Motor`."""
+        segments = self.planned(after_s, until_s)
+        for effect in self.truth.step_effects:
+            standing_s = effect.standing_s(self, segments[0][0].start_s, until_s)
+            segments = _with_rests(segments, standing_s)
+        return [(segment, before) for segment, before in segments if segment.start_s <= until_s]
 
     def _shift_by(self, time_s: float, steps: float) -> None:
         index = bisect_right(self._shift_starts, time_s)
@@ -223,3 +241,33 @@ class StepperAxis:
             step_effect.forget(time_s)
         for angle_effect in self.truth.angle_effects:
             angle_effect.forget(time_s)
+
+
+def _with_rests(
+    segments: Sequence[tuple[Segment, float]], rests_s: Sequence[tuple[float, float]]
+) -> list[tuple[Segment, float]]:
+    """Return segments, each with the speed before it, with rests in them."""
+    if not rests_s:
+        return list(segments)
+    pieces: list[Segment] = []
+    for k, (segment, _) in enumerate(segments):
+        start_s = segment.start_s
+        end_s = segments[k + 1][0].start_s if k + 1 < len(segments) else math.inf
+        for rest_start_s, rest_end_s in rests_s:
+            if rest_end_s <= start_s or rest_start_s >= end_s:
+                continue
+            if rest_start_s > start_s:
+                pieces.append(_from(segment, start_s))
+            begin_s = max(rest_start_s, start_s)
+            pieces.append(Segment(begin_s, segment.at(begin_s)[0], 0.0, 0.0))
+            start_s = min(rest_end_s, end_s)
+        if start_s < end_s:
+            pieces.append(_from(segment, start_s))
+    speeds = [segments[0][1], *(before.at(piece.start_s)[1] for before, piece in pairwise(pieces))]
+    return list(zip(pieces, speeds, strict=True))
+
+
+def _from(segment: Segment, start_s: float) -> Segment:
+    """Return a segment from a time in it on."""
+    steps, speed = segment.at(start_s)
+    return Segment(start_s, steps, speed, segment.acceleration_steps_s2)

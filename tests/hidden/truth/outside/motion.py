@@ -131,7 +131,15 @@ class SoftPlay:
         passed = [play.passed_steps(motor, start_s, offsets_s, steps) for play in self._plays]
         return np.asarray(np.mean(passed, axis=0))
 
+    def standing_s(self, motor: Motor, after_s: float, until_s: float) -> list[tuple[float, float]]:
+        """See `motor.StepEffect`: the first play to close moves the wheel a little."""
+        return min((p.standing_s(motor, after_s, until_s) for p in self._plays), key=_total_s)
+
     def forget(self, time_s: float) -> None:
         """See `motor.StepEffect`."""
         for play in self._plays:
             play.forget(time_s)
+
+
+def _total_s(intervals_s: list[tuple[float, float]]) -> float:
+    return sum(end_s - start_s for start_s, end_s in intervals_s)

@@ -34,8 +34,13 @@ class Motor(Protocol):
         """The length of the averaging window of the planned motion, 0 without one."""
         ...
 
-    def driven_steps(self, start_s: float, offsets_s: FloatArray) -> FloatArray:
-        """Return the commanded position at ascending times, (n,)."""
+    def wheel_acceleration_steps_s2(
+        self, start_s: float, offsets_s: FloatArray, rise_s: float
+    ) -> FloatArray:
+        """Return the acceleration behind the gear at ascending times, (n,).
+
+        By backward differences over `rise_s`, so that it is causal. A loss of steps is none.
+        """
         ...
 
     def rotor_steps(self, start_s: float, offsets_s: FloatArray) -> FloatArray:
@@ -48,6 +53,13 @@ class Motor(Protocol):
 
     def planned(self, after_s: float, until_s: float) -> list[tuple[Segment, float]]:
         """Return the segments in [after, until], each with the speed before it."""
+        ...
+
+    def wheel_planned(self, after_s: float, until_s: float) -> list[tuple[Segment, float]]:
+        """Return the segments of the wheel behind the gear, as `planned` does those of the motor.
+
+        The wheel stands where the motor crosses a gap. The positions are those of the motor.
+        """
         ...
 
 
@@ -65,6 +77,10 @@ class StepEffect(Protocol):
             offsets_s: ascending, not negative, (n,).
             steps: the rotor's position at these times, (n,).
         """
+        ...
+
+    def standing_s(self, motor: Motor, after_s: float, until_s: float) -> list[tuple[float, float]]:
+        """Return the intervals in [after, until] in which only the rotor moves, in order."""
         ...
 
     def forget(self, time_s: float) -> None:
