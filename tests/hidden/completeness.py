@@ -69,6 +69,7 @@ from gyrorig_solver.estimate.linear.whitening import whiten_residual
 from gyrorig_solver.estimate.motion_fit import solve_motion
 from gyrorig_solver.estimate.noise.noise_model import Sampling
 from gyrorig_solver.model.catalogue import catalogue
+from gyrorig_solver.model.causes.base_compliance import BaseCompliance
 from gyrorig_solver.pipeline.recording_contexts import read_contexts
 from gyrorig_solver.pipeline.term_selection import select_terms
 from gyrorig_solver.reference import read_pan_tilt_reference
@@ -169,7 +170,7 @@ def energy(solution: ConvergedFit) -> float:
         every = session.copy()
         for stretch in every._series_states:
             stretch.good = stretch.series.good.copy()
-        with patch("gyrorig_solver.estimate.part_model.timing_sensitive_mask", lambda *_: None):
+        with patch.object(BaseCompliance, "timing_sensitive_mask", lambda *_: None):
             every.update_prediction(solution.gain, detect_outliers=False, new_derivatives=False)
         noise = _ordinary(session.sampling)
         for series, residual in zip(every.series, every.residuals(solution.gain), strict=True):

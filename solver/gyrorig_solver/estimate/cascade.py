@@ -44,16 +44,25 @@ def effects_in_order(fitted_terms: Sequence[FittedTerm], state: SignalState) -> 
     act on the effects of all others, some of which are computed behind the filter and cannot be
     filtered again.
     """
-    effects = {}
+    effects = {
+        id(fitted_term): fitted_term.term.effect(input_state, fitted_term.values)
+        for fitted_term, input_state in _input_states(fitted_terms, state)
+    }
+    zeros = zero_signals(state.block_count)
+    return [effects.get(id(fitted_term), zeros) for fitted_term in fitted_terms]
+
+
+def _input_states(
+    fitted_terms: Sequence[FittedTerm], state: SignalState
+) -> Iterator[tuple[FittedTerm, SignalState]]:
+    """Yield each active cause with the signal at its input."""
     active = _filters_first(
         [fitted_term for fitted_term in order_by_stage(fitted_terms) if fitted_term.is_active]
     )
     for k, fitted_term in enumerate(active):
-        effects[id(fitted_term)] = fitted_term.term.effect(state, fitted_term.values)
+        yield fitted_term, state
         if k + 1 < len(active):
             state = fitted_term.term.propagate(state, fitted_term.values)
-    zeros = zero_signals(state.block_count)
-    return [effects.get(id(fitted_term), zeros) for fitted_term in fitted_terms]
 
 
 def _filters_first(active: list[FittedTerm]) -> list[FittedTerm]:
@@ -72,17 +81,20 @@ def total_effect(fitted_terms: Sequence[FittedTerm], state: SignalState) -> Floa
     return total
 
 
-def timing_sensitive_mask(
+def effect_and_mask(
     fitted_terms: Sequence[FittedTerm], state: SignalState
-) -> BoolArray | None:
-    """Return which blocks the fit leaves out because of the causes, (blocks,), or None."""
-    masks_or_none = [
-        fitted_term.term.timing_sensitive_mask(state, fitted_term.values)
-        for fitted_term in fitted_terms
-        if fitted_term.is_active
-    ]
-    masks = [fitted_term for fitted_term in masks_or_none if fitted_term is not None]
-    return np.logical_or.reduce(masks) if masks else None
+) -> tuple[FloatArray, BoolArray | None]:
+    """Return the total effect, and which blocks the fit leaves out because of the causes.
+
+    The mask has the shape (blocks,); None leaves out nothing.
+    """
+    total = zero_signals(state.block_count)
+    masks = []
+    for fitted_term, input_state in _input_states(fitted_terms, state):
+        total += fitted_term.term.effect(input_state, fitted_term.values)
+        masks.append(fitted_term.term.timing_sensitive_mask(input_state, fitted_term.values))
+    used_masks = [mask for mask in masks if mask is not None]
+    return total, np.logical_or.reduce(used_masks) if used_masks else None
 
 
 def effect_of_removing(
@@ -114,7 +126,8 @@ def fitted_derivatives(fitted_terms: Sequence[FittedTerm], state: SignalState) -
     """Return the derivatives by all fitted values, (k, blocks, 3).
 
     To first order: the change of the effects of later causes is neglected, except for causes that
-    filter, delay or clip.
+    filter, delay or clip, and for a gap: when it is crossed, the stage starts at once, and what its
+    acceleration excites depends on the time.
     """
     cascade = TermCascade(fitted_terms, state)
     derivatives = []
@@ -125,6 +138,8 @@ def fitted_derivatives(fitted_terms: Sequence[FittedTerm], state: SignalState) -
             )[fitted_term.free_indices]
             if fitted_term.term.stage in FILTER_STAGES:
                 jacobian = jacobian + cascade.off_grid_derivatives(fitted_term)
+            elif fitted_term.term.stage == "play":
+                jacobian = jacobian + cascade.later_derivatives(fitted_term)
             derivatives.append(cascade.apply_pass_through(fitted_term.term, jacobian))
     return np.concatenate(derivatives) if derivatives else zero_signals(0, state.block_count)
 
@@ -288,6 +303,33 @@ class TermCascade:
                 for by in (step, -step)
             )
             derivatives[k] = (upper - lower) / (2.0 * step[index])
+        return derivatives
+
+    def later_derivatives(self, fitted_term: FittedTerm) -> FloatArray:
+        """Return the derivatives of the effects that later causes of the stage have on angles.
+
+        By central differences with the steps of the cause, (free, blocks, 3).
+        """
+        derivatives = zero_signals(fitted_term.free_indices.size, self.state.block_count)
+        later_terms = [
+            later
+            for later in self._active_terms
+            if _stage_order(later.term) > _stage_order(fitted_term.term)
+            and later.term.needs_angles
+            and later.term.depends_on_upstream
+            and later.term.stage not in FILTER_STAGES
+        ]
+        if not later_terms:
+            return derivatives
+        for k, index in enumerate(fitted_term.free_indices):
+            upper, lower, width = fitted_term.term.difference_values(fitted_term.values, int(index))
+            states = [
+                fitted_term.term.propagate(self.state_before(fitted_term.term), values)
+                for values in (upper, lower)
+            ]
+            for later in later_terms:
+                high, low = (later.term.effect(state, later.values) for state in states)
+                derivatives[k] += (high - low) / width
         return derivatives
 
     def _off_grid_terms(self, filter_term: Term) -> Iterator[tuple[FittedTerm, SignalState]]:

@@ -9,10 +9,9 @@ import numpy as np
 
 from gyrorig_solver.data import FloatArray
 from gyrorig_solver.estimate.cascade import (
+    effect_and_mask,
     fitted_derivatives,
     pass_through_of,
-    timing_sensitive_mask,
-    total_effect,
 )
 from gyrorig_solver.estimate.executed_motion import replace_law_derivatives
 from gyrorig_solver.estimate.fitted_term import FittedTerm
@@ -41,13 +40,13 @@ def predict_part(
     """
     samples = series.samples_of_blocks(blocks)
     predicted = predict_rate(series, blocks, values.reference, values.lag_s)
-    usable, effect = series.good[samples] & predicted.known, None
+    usable, effect, timing_sensitive = series.good[samples] & predicted.known, None, None
     if state is not None:
-        effect = total_effect(fitted_terms, state)
-        timing_sensitive = timing_sensitive_mask(fitted_terms, state)
+        effect, timing_sensitive = effect_and_mask(fitted_terms, state)
         if timing_sensitive is not None:
             usable = usable & ~np.repeat(timing_sensitive, series.samples_per_block)
-    return PredictedPart(series.rate_rad_s(samples), predicted.rate, usable, effect)
+    measured = series.rate_rad_s(samples)
+    return PredictedPart(measured, predicted.rate, usable, effect, timing_sensitive)
 
 
 def build_part_model(

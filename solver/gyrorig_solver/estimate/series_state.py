@@ -33,6 +33,7 @@ class PredictedPart:
     rate: FloatArray  # (samples, 3), stage
     usable: BoolArray  # (samples,), outliers included
     effect: FloatArray | None  # (blocks, 3), of causes beyond the base model, sensor frame
+    timing_sensitive: BoolArray | None = None  # (blocks,), not usable because of the causes
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -64,6 +65,7 @@ class SeriesState:
     rate: FloatArray  # (n, 3), stage
     used: BoolArray  # (n,)
     effect: FloatArray  # (n, 3), of causes beyond the base model, sensor frame
+    timing_sensitive: BoolArray  # (n,), left out since the last large step
 
     @classmethod
     def empty(cls, series: Series) -> Self:
@@ -77,6 +79,7 @@ class SeriesState:
             rate=zeros.copy(),
             used=np.zeros(n, np.bool_),
             effect=zeros.copy(),
+            timing_sensitive=np.zeros(n, np.bool_),
         )
 
     def copy(self) -> Self:
@@ -88,6 +91,7 @@ class SeriesState:
             rate=self.rate.copy(),
             used=self.used.copy(),
             effect=self.effect.copy(),
+            timing_sensitive=self.timing_sensitive.copy(),
         )
 
     @property
@@ -135,12 +139,21 @@ class SeriesState:
             self.measured[blocks] = series.block_means(series.rate_rad_s(samples), used)
             self.used[blocks] = series.used_blocks(used)
 
-    def set_block_means(self, blocks: slice, part: PredictedPart) -> None:
-        """Set the block means of a part, without the outliers."""
+    def set_block_means(self, blocks: slice, part: PredictedPart, keep_left_out: bool) -> None:
+        """Set the block means of a part, without the outliers.
+
+        `keep_left_out`: blocks that were left out because of the causes stay left out. Two sets of
+        blocks that lead to each other would follow without an end.
+        """
         series = self.series
+        left_out = self.timing_sensitive[blocks]
+        left_out &= keep_left_out
+        if part.timing_sensitive is not None:
+            left_out |= part.timing_sensitive
         if part.effect is not None:
             self.effect[blocks] = part.effect
         used = part.usable & self.good[series.samples_of_blocks(blocks)]
+        used &= ~np.repeat(left_out, series.samples_per_block)
         self.measured[blocks] = series.block_means(part.measured, used)
         self.rate[blocks] = series.block_means(part.rate, used)
         self.used[blocks] = series.used_blocks(used)

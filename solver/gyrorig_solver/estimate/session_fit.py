@@ -276,7 +276,7 @@ class SessionFit:
             keep = keep_samples and series_state.series.block_count <= 2 * PART_BLOCKS
             for blocks in series_state.series.part_slices():
                 part = self._predict_part(series_state.series, blocks, gain)
-                series_state.set_block_means(blocks, part)
+                series_state.set_block_means(blocks, part, keep_left_out=True)
                 if keep:
                     self._predicted_parts[(series_index, blocks.start)] = part
 
@@ -298,7 +298,7 @@ class SessionFit:
                         self.sampling.quantum_rad_s,
                         self.keeps_rejected,
                     )
-                    series_state.set_block_means(blocks, part)
+                    series_state.set_block_means(blocks, part, self.keeps_rejected)
         self._predicted_parts.clear()
         is_unchanged = all(
             np.array_equal(series_state.used, previous)

@@ -325,13 +325,17 @@ class Term(ABC):
         """The indices of the values that are sizes."""
         return value_indices(self, role="size")
 
-    def _finite_difference(self, state: SignalState, values: FloatArray, k: int) -> FloatArray:
+    def difference_values(self, values: FloatArray, k: int) -> tuple[FloatArray, FloatArray, float]:
+        """Return two sets of values for a finite difference by one of them, and its width."""
         parameter = value_parameters(self)[k]
         step = np.zeros(values.size)
         step[k] = self.derivative_step * parameter.typical_size
         backward_step = step if values[k] - step[k] >= parameter.lower else 0.0 * step
-        difference = self._effect_difference(state, values + step, values - backward_step)
-        return np.asarray(difference / (step[k] + backward_step[k]), dtype=np.float64)
+        return values + step, values - backward_step, float(step[k] + backward_step[k])
+
+    def _finite_difference(self, state: SignalState, values: FloatArray, k: int) -> FloatArray:
+        upper, lower, width = self.difference_values(values, k)
+        return np.asarray(self._effect_difference(state, upper, lower) / width, dtype=np.float64)
 
     def _effect_difference(
         self, state: SignalState, upper: FloatArray, lower: FloatArray

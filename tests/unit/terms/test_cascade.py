@@ -8,6 +8,7 @@ import pytest
 from gyrorig_solver.estimate import FittedTerm, total_effect
 from gyrorig_solver.estimate.cascade import (
     TermCascade,
+    effect_and_mask,
     effect_of_removing,
     effects_in_order,
     fitted_derivatives,
@@ -21,6 +22,7 @@ from gyrorig_solver.model import (
     value_parameters,
 )
 from gyrorig_solver.model.catalogue import catalogue
+from gyrorig_solver.model.speed_jumps import find_speed_jumps
 from gyrorig_solver.model.term import SIGNAL_PATH
 from gyrorig_solver.reference import MotionLimits, plan_motion
 from gyrorig_solver.reference.unit.motion_profile import ProfileCommand
@@ -165,6 +167,7 @@ def test_fitted_derivatives_match_the_total_effect(rig: Any) -> None:
             row += 1
 
 
+@pytest.mark.long
 def test_backlash_acts_on_the_rounded_motion(rig: Any) -> None:
     """Rounded ramps, then a gap: against angles made step by step."""
     length_s, gap = 0.06, 0.004
@@ -295,6 +298,82 @@ def test_filter_derivative_includes_the_off_grid_effect(jumping: SignalState) ->
     )
     slope = fitted_derivatives([bend, lag], jumping)[2]
     assert norm(slope - (more - less) / (2.0 * step)) < 0.02 * norm(slope)
+
+
+GAPS = (3e-4, 1.1e-3, 4.05e-3)  # crossed within an interval of the grid, and after many
+
+
+def moving_behind_gap(gap_rad: float) -> FittedTerm:
+    """Backlash of pan; the stage lies against the other face as the move begins."""
+    return extension("backlash", [gap_rad, 0.0, -1.0, 0.0])
+
+
+def accelerating(points_per_s: int) -> SignalState:
+    """A move with a base speed and a ramp, on a grid of some density."""
+    step = 9e-4
+    limits = MotionLimits(400.0, 800.0, 60.0)
+    course = plan_motion(0.0, [ProfileCommand(0.2998, "to", 300.0, limits)])
+    fine = points_per_s // 100
+    edges_s: Array = (np.arange(200 * fine + 1, dtype=np.float64) - 0.5 * fine) / points_per_s
+    angle = np.stack([course.position_steps(edges_s) * step, np.zeros_like(edges_s)])
+    return SignalState.build(
+        edges_s, angle, np.ones(200, dtype=np.bool_), instants_per_block=1,
+        intervals_per_instant=fine, bandwidth_hz=25.0, gain=np.eye(3),
+        context=RecordingContext(rad_per_step=(step, step), motion_profiles=((0, course),)),
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("gap_rad", GAPS)
+def test_a_stage_behind_a_gap_starts_at_the_speed_of_the_motor(gap_rad: float) -> None:
+    coarse = accelerating(500)
+    play = moving_behind_gap(gap_rad)
+    jumps = find_speed_jumps(play.term.propagate(coarse, play.values), 0)
+    distance = gap_rad / 9e-4  # steps; the time is the root of 60 t + 400 t^2 = distance
+    time_s = 0.2998 + (np.sqrt(60.0**2 + 1600.0 * distance) - 60.0) / 800.0
+    assert jumps.time_s[0] == pytest.approx(time_s, abs=2e-5)
+    assert jumps.size_rad_s[0] == pytest.approx(9e-4 * (60.0 + 800.0 * (time_s - 0.2998)), rel=1e-3)
+    assert jumps.time_s.size == 2  # and the stop
+
+
+def test_an_angle_error_is_no_gap() -> None:
+    state, uneven = accelerating(500), extension("eccentricity", [0, 0, 0.02, 0, 0, 0, 0, 0])
+    jumps = find_speed_jumps(uneven.term.propagate(state, uneven.values), 0)
+    assert jumps.time_s == pytest.approx(find_speed_jumps(state, 0).time_s, abs=5e-5)
+
+
+@pytest.mark.parametrize("gap_rad", GAPS)
+def test_a_coarse_grid_shows_the_twist_of_the_base_behind_a_gap(gap_rad: float) -> None:
+    terms = [moving_behind_gap(gap_rad), extension("base_compliance", [5e-5, 0.0])]
+    coarse, fine = (effects_in_order(terms, accelerating(rate))[1] for rate in (500, 100_000))
+    assert np.abs(coarse - fine).max() < 0.03 * np.abs(fine).max()
+
+
+@pytest.mark.parametrize(
+    "later", [("base_compliance", [5e-5, 0.0]), ("ringing", [0.05, 0, 9, 0.05])]
+)
+def test_the_derivative_by_a_gap_includes_what_it_moves(later: tuple[str, list[float]]) -> None:
+    state, step = accelerating(500), 2e-5
+    play, excited = moving_behind_gap(1.1e-3), extension(*later)
+    more, less = (
+        total_effect([moving_behind_gap(1.1e-3 + by), excited], state) for by in (step, -step)
+    )
+    slope = fitted_derivatives([play, excited], state)[0]
+    wanted = (more - less) / (2.0 * step)
+    assert norm(slope - wanted) < 0.02 * norm(wanted)
+    assert norm(fitted_derivatives([play], state)[0] - wanted) > 0.05 * norm(wanted)
+
+
+@pytest.mark.parametrize(("gap_rad", "is_masked"), [(1.238e-3, True), (1.1e-3, False)])
+def test_a_sample_is_masked_where_the_gap_has_been_crossed(gap_rad: float, is_masked: bool) -> None:
+    state, bend = accelerating(500), extension("base_compliance", [5e-5, 0.0])
+    play = moving_behind_gap(gap_rad)
+    jumps = find_speed_jumps(play.term.propagate(state, play.values), 0)
+    assert (abs(jumps.time_s[0] - 0.32) < jumps.time_error_s[0]) == is_masked
+    _, mask = effect_and_mask([play, bend], state)
+    assert (mask is not None and bool(mask[32])) == is_masked
+    at_start = effect_and_mask([bend], state)[1]
+    assert at_start is not None
+    assert at_start[[30, 32]].tolist() == [True, False]  # without the gap
 
 
 def test_samples_at_a_speed_jump_are_masked(jumping: SignalState) -> None:

@@ -159,6 +159,7 @@ def test_correlation_of_similar_causes(directions: Any) -> None:
     assert alike(of["backlash"], of["base_compliance"]) < 0.2
 
 
+@pytest.mark.long
 def test_every_similar_pair_is_declared(directions: Any) -> None:
     of = {cause: seen(pair) for cause, pair in directions.items()}
     pairs = []

@@ -8,6 +8,7 @@ opposite sign, and both signs are fixed: only a positive c is a compliant base.
 Where a motor starts at its base speed, two opposite pulses come at almost the same time, and the
 first sample behind them shows half of their sum. A sample that was taken as the speed jumped saw
 none, one or both. The time of the jump is not known well enough, so the fit leaves that sample out.
+The same holds where the motor has crossed a gap and the stage starts at its speed (`backlash`).
 """
 
 import numpy as np
@@ -20,8 +21,6 @@ from gyrorig_solver.model.speed_jumps import angle_of_jumps, find_speed_jumps, j
 from gyrorig_solver.model.term import EDGE_COVARIATES, size_parameter
 from gyrorig_solver.model.term_kinds import LinearAngleTerm
 from gyrorig_solver.model.value_format import PAN_TILT, format_list
-
-START_TIME_STD_S = 3e-4  # two or three standard deviations of a fitted start time
 
 
 class BaseCompliance(LinearAngleTerm):
@@ -65,11 +64,14 @@ class BaseCompliance(LinearAngleTerm):
     def timing_sensitive_mask(self, state: SignalState, values: FloatArray) -> BoolArray | None:
         """Return the blocks with a sample at a speed jump, (blocks,), or None."""
         sensitive = np.zeros(state.used_instants.size, dtype=np.bool_)
+        sampling_times_s = state.sample_times_s + (
+            0.0 if state.sampling_delay_s is None else state.sampling_delay_s
+        )
         for axis in np.flatnonzero(values):
-            jump_times_s, _ = find_speed_jumps(state, int(axis))
+            jumps = find_speed_jumps(state, int(axis))
             first, last = np.searchsorted(
-                state.sample_times_s,
-                [jump_times_s - START_TIME_STD_S, jump_times_s + START_TIME_STD_S],
+                sampling_times_s,
+                [jumps.time_s - jumps.time_error_s, jumps.time_s + jumps.time_error_s],
             )
             for k, stop in zip(first, last, strict=True):
                 sensitive[k:stop] = True
@@ -86,17 +88,17 @@ class BaseCompliance(LinearAngleTerm):
         """Return per axis the exact response to speed jumps minus that on the grid."""
         signals = []
         for axis in (0, 1):
-            jump_times_s, jump_sizes = find_speed_jumps(state, axis)
-            if state.low_pass is None or not jump_times_s.size:
+            jumps = find_speed_jumps(state, axis)
+            if state.low_pass is None or not jumps.time_s.size:
                 signals.append(zero_signals(state.block_count))
                 continue
             grid_acceleration = second_derivative(
-                state.edges_s, angle_of_jumps(state.edges_s, jump_times_s, jump_sizes)
+                state.edges_s, angle_of_jumps(state.edges_s, jumps)
             )
             grid_signal = state.measure_stage_rate(
                 state.stage_rate_derivative(axis, -grid_acceleration)
             )
-            signals.append(-jump_responses(state, axis, jump_times_s, jump_sizes) - grid_signal)
+            signals.append(-jump_responses(state, axis, jumps) - grid_signal)
         return signals
 
     def describe(self, values: FloatArray) -> str:
