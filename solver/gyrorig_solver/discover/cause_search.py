@@ -32,11 +32,12 @@ from gyrorig_solver.discover.held_out_gain import cross_validate_causes
 from gyrorig_solver.discover.law_candidates import fit_law_cause
 from gyrorig_solver.discover.model_evidence import best_model
 from gyrorig_solver.discover.score_tests import CandidateScore, scan_catalogue
+from gyrorig_solver.discover.search_memory import SearchMemory
 from gyrorig_solver.discover.testable_terms import FALSE_ALARM_RATE, count_tests, select_testable
 from gyrorig_solver.estimate import NuisanceProjector
 from gyrorig_solver.model import Term, term_label
 
-MAX_CAUSES = 12
+MAX_CAUSES = 16
 MAX_ROUNDS = 3  # of adding causes; the ranking between two of them takes as long as the rest
 # Of causes that are significant with typical noise levels only: the bias has a random walk.
 MAX_NOISE_ALTERNATIVES = 3
@@ -94,7 +95,7 @@ class _Search(Generic[Space]):
         self._rejected: set[str] = set()  # by the exact fits of the last selection
         self._has_weaker = False  # whether other candidates were significant in it
         self._gains_by_label: Mapping[str, float] = {}
-        self._memory = _SearchMemory([base])
+        self._memory = SearchMemory(base)
         self._reviewed: list[set[str]] = []  # causes of the models to which none could be added
         self._ranking: tuple[Space, Space, tuple[RankedCause, ...]] | None = None  # of a model
         self._last_evaluation = base.effort.evaluations + MAX_SEARCH_EVALUATIONS
@@ -120,6 +121,8 @@ class _Search(Generic[Space]):
             selection = self._select()
             if selection is not None and len(self._space.fitted_terms) < MAX_CAUSES:
                 self._try_cause(selection)
+            elif selection is None and self._memory.retry_waiting():
+                continue
             elif self._typical and self._doubted:
                 self._use_fitted_noise()
             elif self._eliminate():
@@ -147,7 +150,7 @@ class _Search(Generic[Space]):
 
     @property
     def _left_out(self) -> set[str]:
-        return self._excluded | self._doubted | self._memory.unconverged
+        return self._excluded | self._doubted | self._memory.left_out
 
     def _select(self, with_weaker: bool = False) -> _Selection | None:
         """Score all causes that are not fitted; return the best significant candidate.
@@ -195,6 +198,8 @@ class _Search(Generic[Space]):
         fitted = fit_law_cause(self._space, term, needed_nats=needed_nats)
         if fitted.candidate is None:
             self._memory.leave_out(term_label(term), fitted.space)
+        elif global_p_value(fitted.candidate, 1.0, self._tests) > FALSE_ALARM_RATE:
+            self._memory.postpone(term_label(term))
         return fitted.candidate
 
     def _use_fitted_noise(self) -> None:
@@ -345,35 +350,6 @@ class _Search(Generic[Space]):
             f"the search for causes stopped at its limit of {MAX_SEARCH_EVALUATIONS} evaluations "
             f"of the likelihood; the causes that it had found are {names or 'none'}, and other "
             "causes are possible",
-        )
-
-
-class _SearchMemory(Generic[Space]):
-    """The visited models, and the candidates whose fit did not converge."""
-
-    def __init__(self, visited: list[Space]) -> None:
-        """Start with some visited models."""
-        self.visited = visited
-        self.unconverged: set[str] = set()  # labels that are left out in the present model
-        self._reasons: dict[str, str] = {}
-
-    def visit(self, space: Space) -> None:
-        """Remember a model; in addition to it, candidates may converge that did not before."""
-        self.visited.append(space)
-        self.unconverged.clear()
-
-    def leave_out(self, label: str, space: Space) -> None:
-        """Leave a candidate out of the present model, because the fit did not converge."""
-        self.unconverged.add(label)
-        self._reasons[label] = space.convergence.reason
-
-    def remarks(self, final: Space) -> tuple[str, ...]:
-        """Return one remark for each candidate that is not in the final model."""
-        fitted = _labels(final)
-        return tuple(
-            f"the cause {label} was left out: {reason}"
-            for label, reason in self._reasons.items()
-            if label not in fitted
         )
 
 

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 from tests.hidden.truth.draws import drawn
 from tests.hidden.truth.make import make
-from tests.hidden.truth.session import BOARD
+from tests.hidden.truth.session import BOARD, RigDraw, record
 from tests.support.board_fits import explain_recordings, fit_base_model
 
+from gyrorig_daemon.emulator.emulator_settings import InjectionRequest
 from gyrorig_protocol.recording.reader import read_recording
 from gyrorig_solver.discover.template_choice import all_templates
 from gyrorig_solver.estimate import FittedTerm, NuisanceProjector, refit_with_terms
@@ -54,3 +55,21 @@ def test_a_dead_band_next_to_the_rate_of_a_long_move_is_fitted(tmp_path: Path) -
     findings = explain_recordings([recording], BOARD).findings
     assert {cause.cause for cause in findings.causes} >= {"dead_zone", "tilt_sag"}
     assert findings.unexplained is None
+
+
+def test_a_base_that_twists_behind_a_gap_has_both_names(tmp_path: Path) -> None:
+    """The stage starts when the motor has crossed the gap, and then the base twists."""
+    gap_rad, compliance_s2 = 9e-4, 5e-5
+    hide = (
+        InjectionRequest("backlash", "pan", gap_rad),
+        InjectionRequest("base_compliance", "pan", compliance_s2),
+    )
+    path = tmp_path / "recording.mcap"
+    record(RigDraw(77, "survey-130", hide=hide), path)
+    findings = explain_recordings([read_recording(path)], BOARD).findings
+    assert findings.unexplained is None
+    assert {cause.candidates for cause in findings.causes} == {("backlash",), ("base_compliance",)}
+    values = {value.name: value.value for cause in findings.causes for value in cause.values}
+    assert values["gap.pan"] == pytest.approx(gap_rad, rel=0.03)
+    # A jump of the speed takes the emulated motor 2 % of the time constant of the low-pass.
+    assert values["coefficient.pan"] == pytest.approx(compliance_s2, rel=0.04)
