@@ -16,7 +16,7 @@ MAKER = HERE / "truth" / "in_turn.py"
 RESULTS = HERE.parents[1] / "docs" / "discovery" / "results.json"
 SIDE_BY_SIDE = (
     ("nulls",),
-    ("ladder", "mixed", "many", "outside", "nearly", "held"),
+    ("ladder", "mixed", "many", "rig", "outside", "nearly", "held"),
 )  # about as long to make
 
 

@@ -28,7 +28,7 @@ import msgspec
 import numpy as np
 from scipy.stats import chi2
 from tests.hidden.scoring.answers import opened, sealed
-from tests.hidden.scoring.goals import FALSE_ALARMS
+from tests.hidden.scoring.goals import SEARCH_FALSE_ALARMS
 from tests.hidden.scoring.once import Multiplicity
 from tests.support.board_fits import fit_base_model
 
@@ -145,7 +145,7 @@ def measured(session: Path, draws: int) -> Multiplicity:
         looks[cause] = max(looks.get(cause, 1.0), own_tests)
     tests = count_tests(terms)
     apart = count_tests([t for t in terms if t.cause in BY_RESIDUAL])
-    effective = FALSE_ALARMS / float(np.quantile(chance, FALSE_ALARMS)) + apart
+    effective = SEARCH_FALSE_ALARMS / float(np.quantile(chance, SEARCH_FALSE_ALARMS)) + apart
     answer = opened(session, sealed(session))
     rounded = {cause: round(value, 2) for cause, value in sorted(looks.items())}
     return Multiplicity(answer.program, answer.soak_k != 0.0, tests, round(effective, 1), rounded)

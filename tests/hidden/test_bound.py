@@ -12,6 +12,7 @@ MAKER = Path(__file__).resolve().parent / "truth" / "make.py"
 ASYMMETRY = 6  # turn of a ladder
 
 
+@pytest.mark.long
 def test_the_nearest_rival_of_an_asymmetry_is_a_square(tmp_path: Path) -> None:
     order = [sys.executable, str(MAKER), "--out", str(tmp_path), "--tier", "ladder", "--rungs", "3",
              "--base", "910000", "--first", str(910_000 + ASYMMETRY), "--count", "1"]  # fmt: skip

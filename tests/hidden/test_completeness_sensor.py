@@ -51,6 +51,7 @@ def test_a_term_leaves_nothing_of_its_own_effect(cause: str) -> None:
     assert scorer.left_share(cause) <= scorer.GOAL
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("cause", quick_cases(["thermal_bias", "thermal_scale"], ["thermal_scale"]))
 def test_nor_do_the_thermal_ones_in_a_room_that_swings(cause: str) -> None:
     scorer = _scorer()

@@ -44,6 +44,7 @@ def test_every_cause_that_can_be_sized_is_in_the_tier() -> None:
     assert all(line["times"] is None or line["times"] > 2.9 for line in CAUSES)
 
 
+@pytest.mark.long
 def test_the_finder_as_it_ships_meets_the_goals_on_a_few(recorded_sessions: Sessions) -> None:
     assert missed(figures([recorded_sessions.outcome(line) for line in SMALL]), BARS) == []
 

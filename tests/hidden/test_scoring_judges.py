@@ -19,6 +19,7 @@ from tests.hidden.scoring.kept import JudgedCases, read_judged_cases, write_judg
 from tests.hidden.scoring.outcome import Outcome, outcome_of
 from tests.hidden.scoring.picture import confusion_picture
 from tests.hidden.scoring.possible import Bound, possible
+from tests.hidden.scoring.rigs import rigs_table
 from tests.hidden.scoring.shares import Share
 from tests.hidden.scoring.true_values import true_values
 
@@ -137,6 +138,19 @@ def test_many_are_counted_by_stated_sets() -> None:
     assert figure("recall", outcome) == 1.0  # the third cannot be seen
     assert figure("precision", outcome) == pytest.approx(2 / 3)
     assert figure("recall", judged(many, named("ringing"))) == 0.5
+
+
+def test_a_whole_rig_has_figures_of_its_own() -> None:
+    rig = answer(("backlash", 5.0), ("ringing", 4.0), kind="rig")
+    names = (named("backlash"), named("worm_error"))
+    near = judged(rig, *names, total_std={"scale.x": 0.0005, "bias.x": 1e-9})
+    far = judged(rig, *names, total_std={"scale.x": 0.0004})
+    assert [near.gain_sigma, far.gain_sigma] == pytest.approx([4.0, 5.0])
+    assert figure("rig_recall", near) == figure("rig_precision", near) == 0.5
+    assert figure("rig_gain", replace(near, gain_sigma=3.99), far) == 0.5
+    assert figure("rig_gain", judged(rig, *names)) == 0.0  # nothing stated
+    assert figures([near])["recall"].words == "none tried"
+    assert "| `backlash` | 5.0x (5.0x to 5.0x) | 1 of 1" in rigs_table([near])
 
 
 def test_intervals_are_held_against_truth_after_selection() -> None:

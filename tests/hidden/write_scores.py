@@ -15,7 +15,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 from docs.blocks import write_or_check
 from docs.markdown import Block
-from tests.hidden.scoring import complete, once, reliability, simulators, tables
+from tests.hidden.scoring import complete, once, reliability, rigs, simulators, tables
 from tests.hidden.scoring.kept import JudgedCases, read_judged_cases
 from tests.hidden.scoring.picture import confusion_picture
 
@@ -68,6 +68,7 @@ BLOCKS: dict[str, Block] = {
     "inseparable": lambda: tables.inseparable(read_judged().bounds),
     "shapes": lambda: tables.shapes(read_judged().outcomes),
     "blind": lambda: tables.blind(read_judged().outcomes),
+    "rigs": lambda: rigs.rigs_table(read_judged().outcomes),
     "many": lambda: tables.many(read_judged().outcomes),
     "gaps": lambda: tables.gaps(read_judged().gaps),
     "complete": lambda: complete.table_text(complete.read(COMPLETENESS)),

@@ -15,6 +15,7 @@ from tests.hidden.scoring.goals import (
     GAP_BEYOND,
     GAP_PER_VALUE,
     GOALS,
+    RIG_GAIN_SIGMA,
     RUNG_WIDTH,
     SEEN,
     Goal,
@@ -77,7 +78,7 @@ def figures(
     nearly = [
         outcome for outcome in _of_kind(outcomes, "nearly") if largest(outcome) >= _least(FAR)
     ]
-    many = _of_kind(outcomes, "many")
+    many, rigs = _of_kind(outcomes, "many"), _of_kind(outcomes, "rig")
     harm = Share(sum(outcome.harm_printed for outcome in outcomes), len(outcomes))
     return {
         "false_alarms": _of(nulls),
@@ -93,6 +94,9 @@ def figures(
         "nearly_wrong": _of(_share(nearly, _nearly_wrong)),
         "recall": _of(recall(many)),
         "precision": _of(precision(many)),
+        "rig_recall": _of(recall(rigs)),
+        "rig_precision": _of(precision(rigs)),
+        "rig_gain": _of(_share(rigs, has_right_gain)),
         "gap": _gap(gaps),
         "covered_causes": _of(covered_causes(outcomes)),
         "covered_calibration": _of(covered_calibration(outcomes)),
@@ -140,6 +144,11 @@ def precision(many: Sequence[Outcome]) -> Share:
     """Return the share of stated sets that contain a hidden cause."""
     sets = sum(len(outcome.sets) for outcome in many)
     return Share(sets - sum(len(outcome.extra) for outcome in many), sets)
+
+
+def has_right_gain(outcome: Outcome) -> bool:
+    """Return whether every stated entry of the gain is near its true value; False for none."""
+    return outcome.gain_sigma is not None and outcome.gain_sigma <= RIG_GAIN_SIGMA
 
 
 def covered_causes(outcomes: Iterable[Outcome]) -> Share:

@@ -57,6 +57,9 @@ def _short(outcome: Outcome) -> Outcome:
             replace(each, probability=round(each.probability, PROBABILITY_DIGITS))
             for each in outcome.beliefs
         ),
+        gain_sigma=(
+            None if outcome.gain_sigma is None else round(outcome.gain_sigma, SIGMA_DIGITS)
+        ),
         harm=None if outcome.harm is None else (outcome.harm[0], round(outcome.harm[1], 1)),
     )
 

@@ -18,7 +18,7 @@ import msgspec
 import numpy as np
 from docs.markdown import table
 from scipy.stats import chi2, ncx2
-from tests.hidden.scoring.goals import FALSE_ALARMS
+from tests.hidden.scoring.goals import SEARCH_FALSE_ALARMS
 from tests.hidden.truth.detectable import detectable_of, sizes_of
 
 
@@ -38,7 +38,9 @@ def read(path: Path) -> list[Multiplicity]:
     return msgspec.json.decode(path.read_bytes(), type=list[Multiplicity])
 
 
-def chance_once(cause: str, tests: float, looks: float, alarms: float = FALSE_ALARMS) -> float:
+def chance_once(
+    cause: str, tests: float, looks: float, alarms: float = SEARCH_FALSE_ALARMS
+) -> float:
     """Return the power of the test of a cause at one detectable size.
 
     Args:

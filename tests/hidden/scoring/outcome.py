@@ -19,6 +19,7 @@ BROKEN: Mapping[str, Any] = {
     "raw": [], "unexplained": [], "absent": [], "calibration": {}, "not_testable": [],
     "harm_printed": False, "seconds": 0.0,
 }  # fmt: skip
+GAIN = ("scale", "nonorthogonality", "misalignment")  # parameters of the gain, before the axis
 RELABELS = {"axis_swap", "sign_flip", "wrong_full_scale"}
 MOVES_LAG = {"clock_skew", "clock_step", "lost_samples"}
 Name = str
@@ -80,6 +81,7 @@ class Outcome:
     ladder: bool
     seconds: float
     beliefs: tuple[Belief, ...] = ()  # of sessions with one cause of the catalogue
+    gain_sigma: float | None = None  # largest error of the gain, in total standard uncertainties
 
     @property
     def alarmed(self) -> bool:
@@ -140,6 +142,7 @@ def outcome_of(answer: Answer, line: Mapping[str, Any]) -> Outcome:
         ladder=answer.tier == "ladder",
         seconds=float(line["seconds"]),
         beliefs=beliefs_of(answer.names[0], line) if answer.kind == "one" else (),
+        gain_sigma=_gain_sigma(answer, line),
     )
 
 
@@ -170,6 +173,18 @@ def _of_causes(answer: Answer, line: Mapping[str, Any]) -> list[Coverage]:
                 if value is not None and std and name in entry["sizes"]:
                     coverages.append(Coverage(f"{hidden.cause}.{name}", (value - true) / std))
     return coverages
+
+
+def _gain_sigma(answer: Answer, line: Mapping[str, Any]) -> float | None:
+    """Return the largest error of the gain, None where nothing is stated or can be compared."""
+    errors = [
+        abs(line["calibration"][name][0] - true) / line["total_std"][name]
+        for name, true in answer.calibration.items()
+        if name.partition(".")[0] in GAIN
+        and line.get("total_std", {}).get(name)
+        and math.isfinite(true)
+    ]
+    return None if set(answer.names) & RELABELS else max(errors, default=None)
 
 
 def _of_calibration(answer: Answer, line: Mapping[str, Any]) -> list[Coverage]:

@@ -37,6 +37,7 @@ from gyrorig_solver.findings import (
 from gyrorig_solver.findings.findings_builder import FindingsOrigin, RawChecks
 from gyrorig_solver.findings.findings_document import BoardEntry, InputEntry
 from gyrorig_solver.model import value_indices, value_names
+from gyrorig_solver.uncertainty import assess_uncertainty
 
 Look = Callable[[Sequence[Recording], str], FitExplanation]
 NOTHING_OPENED = "2000-01-01T00:00:00Z"  # a fixed time, so that documents can be compared
@@ -90,6 +91,7 @@ def line_of(seed: int, variant: str, stated: StatedExplanation) -> dict[str, Any
         "signatures": [s.covariate for s in findings.dependence_tests[:3]],
         "nats": _short(findings.gain.log_likelihood.value) if findings.gain else None,
         "calibration": _calibration(stated.explained),
+        "total_std": _total_std(stated.explained.solution_extended),
         "absent": [
             [
                 detection_limit.cause,
@@ -143,6 +145,15 @@ def _calibration(explanation: FitExplanation) -> dict[str, list[float | None]]:
     return {
         name: [_short(float(value[k])), _short(float(std[k])), _short(float(before.values[k]))]
         for k, name in enumerate(CALIBRATION_PARAMETERS)
+    }
+
+
+def _total_std(solution: ConvergedFit) -> dict[str, float | None]:
+    """Return the total standard uncertainty of each parameter, as `gyrorig solve` states it."""
+    noise_std, budget_std = CalibrationValues.of(solution).std, assess_uncertainty(solution).std
+    total = np.hypot(noise_std, budget_std)
+    return {
+        name: _short(float(std)) for name, std in zip(CALIBRATION_PARAMETERS, total, strict=True)
     }
 
 

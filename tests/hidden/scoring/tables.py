@@ -28,7 +28,7 @@ from tests.hidden.scoring.outcome import AMONG, Outcome, is_sole
 from tests.hidden.scoring.possible import Bound, possible
 from tests.hidden.scoring.shares import Share
 
-KINDS = ("null", "one", "two", "many", "outside", "nearly", "unobservable")
+KINDS = ("null", "one", "two", "many", "rig", "outside", "nearly", "unobservable")
 Outcomes = Sequence[Outcome]
 K = TypeVar("K")
 T = TypeVar("T")

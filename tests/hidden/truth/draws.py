@@ -19,7 +19,7 @@ from tests.support.noncentrality import Visibility
 from gyrorig_daemon.emulator.emulator_settings import InjectionRequest
 from gyrorig_daemon.emulator.injection import CAUSES
 
-TIERS = ("mixed", "nulls", "ladder", "outside", "many", "nearly", "held")  # at the end: they seed
+TIERS = ("mixed", "nulls", "ladder", "outside", "many", "nearly", "held", "rig")  # order seeds
 KINDS = ("null", "one", "two", "outside", "nearly", "unobservable")
 SHARES = (0.30, 0.35, 0.15, 0.10, 0.05, 0.05)
 
@@ -34,6 +34,13 @@ NULL_PROGRAMS = {
 }  # fmt: skip
 MANY_PROGRAMS = {"survey-130": 0.6, "full": 0.4}
 LADDER_PROGRAMS = ("survey-40", "survey-130")
+RIG_PROGRAM = "survey-130"
+# What a rig can have at all times: of its clocks, of the sensor, of the unit.
+RIG_CAUSES = (
+    "clock_skew", "scale_quadratic", "scale_asymmetry", "g_sensitivity", "motor_coupling",
+    "backlash", "eccentricity", "worm_error", "axis_nonorthogonality", "acceleration_error",
+    "ringing", "tilt_sag", "base_compliance",
+)  # fmt: skip
 # Lines that a unit may be set to, and how long its controller thinks.
 LINES = ((9600, 1.0), (9600, 20.0), (38400, 5.0), (115200, 1.0), (115200, 5.0))
 
@@ -132,6 +139,14 @@ class _Drawing:
         sized = self.sizer.size_of_cause(name, place, times, sign)
         return None if sized is None else Item(name, place, sized.size, times, sized.seen)
 
+    def near_typical(self, name: str, place: str) -> Item:
+        """Return a cause near its typical size, as the parts scatter."""
+        cause = CAUSES[name]
+        size = float(np.clip(cause.typical * np.exp(0.4 * self.rng.standard_normal()),
+                             cause.sampled_min, cause.sampled_max))  # fmt: skip
+        size = self.sign(name) * (float(max(round(size), 1)) if cause.is_integer else size)
+        return Item(name, place, size, None, self.sizer.of_cause(name, place)(size))
+
 
 def drawn(
     seed: int, tier: str, rungs: Sequence[float] = (1.0, 2.0, 3.0), first: int = 0
@@ -221,15 +236,17 @@ def _many(drawing: _Drawing) -> Session:
     """Four to eight causes of usual sizes: near the typical one, as the parts scatter."""
     rng = drawing.rng
     names = rng.permutation([n for n in SIZED if n not in ("bias_random_walk", "sample_jitter")])
-    items = []
-    for name in names[: int(rng.integers(4, 9))].tolist():
-        cause = CAUSES[name]
-        place = drawing.place(name)
-        size = float(np.clip(cause.typical * np.exp(0.4 * rng.standard_normal()),
-                             cause.sampled_min, cause.sampled_max))  # fmt: skip
-        size = drawing.sign(name) * (float(max(round(size), 1)) if cause.is_integer else size)
-        items.append(Item(name, place, size, None, drawing.sizer.of_cause(name, place)(size)))
-    return Session(drawing.tier, "many", drawing.rig, tuple(items))
+    chosen = names[: int(rng.integers(4, 9))].tolist()
+    items = tuple(drawing.near_typical(name, drawing.place(name)) for name in chosen)
+    return Session(drawing.tier, "many", drawing.rig, items)
+
+
+def _whole_rig(drawing: _Drawing) -> Session:
+    """All persistent causes at once, each near its typical size."""
+    rig = replace(drawing.rig, program=RIG_PROGRAM, soak_k=0.0)
+    drawing.rig = rig
+    items = tuple(drawing.near_typical(name, drawing.place(name)) for name in RIG_CAUSES)
+    return Session(drawing.tier, "rig", rig, items)
 
 
 def _shape(shapes: dict[str, Shape]) -> "Callable[[_Drawing], Session]":
@@ -355,6 +372,7 @@ _OF_KIND: dict[str, Callable[[_Drawing], Session]] = {
     "one": _single_cause,
     "two": _two,
     "many": _many,
+    "rig": _whole_rig,
     "outside": _shape(OUTSIDE),
     "nearly": _shape(NEARLY),
     "unobservable": _unobservable,

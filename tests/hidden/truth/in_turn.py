@@ -37,6 +37,7 @@ PARTS = (
     Part("outside", "outside", 500_000, 500, 16),
     Part("many", "many", 400_000, 40, 4),
     Part("nearly", "nearly", 600_000, 100, 4),
+    Part("rig", "rig", 800_000, 100, 4),
     Part("held", "held", 700_000, 100, 4),
     Part("mixed", "mixed", 300_000, 1000, 16),
     Part("nulls", "nulls", 10_000, 1000, 60),
