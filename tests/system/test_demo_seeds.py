@@ -49,6 +49,7 @@ def off_by(seeds: Iterable[int], program: str, folder: Path) -> dict[str, float]
     return out
 
 
+@pytest.mark.long
 def test_three_seeds_are_within_their_deviations(tmp_path: Path) -> None:
     off = off_by((1, 2, 3), "quick", tmp_path)
     assert {name: v for name, v in off.items() if v > 3.5} == {}

@@ -56,6 +56,7 @@ def test_pan_at_tilt_zero_only(tmp_path: Path) -> None:
     assert "sweep pan at a positive and at a negative tilt" in reasons
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("soak_k", "fitted"), [("4", False), ("25", True)])
 def test_a_polynomial_of_temperature_needs_ten_kelvin(
     tmp_path: Path, soak_k: str, fitted: bool

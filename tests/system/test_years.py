@@ -5,9 +5,11 @@ The 90 days are `tests/bench/bench_years.py`.
 
 from pathlib import Path
 
+import pytest
 from tests.bench import bench_years as years
 
 
+@pytest.mark.long
 def test_three_days_lose_nothing(tmp_path: Path) -> None:
     plans: list[list[years.Event]] = [
         [years.fill_disk, years.put_nonsense],

@@ -43,6 +43,7 @@ def test_same_seed_is_the_same_rig() -> None:
     assert not np.array_equal(first.truth, draw_rig(4).truth)
 
 
+@pytest.mark.long
 def test_solver_finds_the_truth_of_rigs_without_causes(tmp_path: Path) -> None:
     inside = 0
     for seed in (1, 2):

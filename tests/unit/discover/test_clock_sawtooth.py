@@ -20,6 +20,7 @@ def session(hidden: Callable[..., Any]) -> Any:
     return hidden(f"clock_sawtooth:{GROWTH}", seed=4, program="survey-40")
 
 
+@pytest.mark.long
 def test_a_sawtooth_has_one_name_and_its_values(session: Any) -> None:
     explanation = explain_fit(fit_base_model([session.recording], session.board), session.board)
     (named,) = explanation.findings.causes
@@ -50,6 +51,7 @@ def test_shapes_are_scored_as_their_windows(session: Any) -> None:
     assert series.score_shapes(shapes_s) == pytest.approx(expected)
 
 
+@pytest.mark.long
 def test_one_step_is_no_sawtooth(hidden: Callable[..., Any]) -> None:
     """A saw-tooth with one correction is a step and a skew: the data cannot show its period."""
     session = hidden("clock_step:0.01", seed=33, program="survey-40")

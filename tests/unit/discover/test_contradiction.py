@@ -104,6 +104,7 @@ def test_a_cause_of_one_recording_is_no_contradiction(hidden: Callable[..., Any]
     assert find_disagreement(load_board(recordings, "GY80-1")) is None
 
 
+@pytest.mark.long
 def test_each_of_several_boards_is_compared(
     hidden: Callable[..., Any], tmp_path_factory: pytest.TempPathFactory
 ) -> None:

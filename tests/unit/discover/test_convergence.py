@@ -37,6 +37,7 @@ def named(base: ConvergedFit) -> ConvergedFit:
     return search_causes(MotionFitSpace(base)).space.solution
 
 
+@pytest.mark.long
 def test_the_cause_is_named_where_its_fit_converges(named: ConvergedFit) -> None:
     assert [fitted_term.term.cause for fitted_term in named.fitted_terms] == ["backlash"]
     assert named.converged

@@ -51,6 +51,7 @@ def test_a_slip_is_timed_no_finer_than_the_noise_lets_it(
     assert 0.01 < place.event_std < 5.0
 
 
+@pytest.mark.long
 def test_a_smaller_step_is_timed_worse(weighed: Callable[[str], FittedCandidate]) -> None:
     large, small = weighed("bias_step:0.01"), weighed("bias_step:0.002")
     assert large.event_std is not None

@@ -92,6 +92,7 @@ def test_the_size_is_the_truth_within_its_uncertainty(
     assert gap.value == pytest.approx(truth["size"]["value"], abs=FAR * gap.std)
 
 
+@pytest.mark.long
 def test_what_is_hidden_most_needs_the_projection(
     hidden: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -119,6 +120,7 @@ def test_what_is_hidden_most_needs_the_projection(
     assert "axis_nonorthogonality" not in named()
 
 
+@pytest.mark.long
 def test_a_finder_that_names_the_best_score_is_caught(
     hidden: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:

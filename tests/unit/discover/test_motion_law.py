@@ -84,6 +84,7 @@ def test_a_base_speed_that_was_not_set(
     assert np.abs(base_sigmas(solution, session.boards[session.board])).max() < FAR
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("seed", quick_cases((1, 2), [1]))
 def test_the_search_judges_a_law_under_that_law(
     hidden: Callable[..., Any], without_base_speed: str, seed: int
@@ -131,6 +132,7 @@ def test_a_law_cause_that_is_not_there_gains_nothing(hidden: Callable[..., Any],
         assert np.abs(change).max() < 1.0, cause
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("seed", SEEDS)
 def test_two_differences_at_once(hidden: Callable[..., Any], seed: int) -> None:
     session = hidden("s_curve:0.03", "base_speed_jump:0.05", seed=seed)
@@ -176,6 +178,7 @@ def test_the_score_of_every_parameter_is_the_difference(
         assert score[k] * std[k] == pytest.approx(numeric, rel=0.1, abs=0.1), fit.parameter_names[k]
 
 
+@pytest.mark.long
 def test_boards_on_one_unit_have_one_law(hidden: Callable[..., Any], tmp_path: Path) -> None:
     names = [BoardId("GY80-1"), BoardId("GY80-2")]
     config = tmp_path / "rig.yaml"
@@ -218,6 +221,7 @@ def test_boards_with_other_laws_are_not_fitted_together() -> None:
     assert not law_columns([free_term(find_term("scale_cubic"))], 13).parameters.size
 
 
+@pytest.mark.long
 def test_two_recordings_have_one_law(hidden: Callable[..., Any]) -> None:
     cause = "acceleration_error:0.04"
     sessions = [hidden(cause, seed=1), hidden(cause, seed=1, program="survey-40")]
@@ -233,6 +237,7 @@ def test_two_recordings_have_one_law(hidden: Callable[..., Any]) -> None:
     assert np.all(np.abs(solution.estimate[-2:] - mean) < 0.5 * both**-0.5)
 
 
+@pytest.mark.long
 def test_the_replies_at_the_slow_ends_of_moves_are_unbiased(hidden: Callable[..., Any]) -> None:
     """Near its rest, the count of a slow axis is always rounded at the same point of a step."""
     session = hidden(seed=11, program="survey-130")

@@ -5,6 +5,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+import pytest
 from scipy import signal
 
 from gyrorig_solver.discover import FitExplanation, explain_fit
@@ -46,6 +47,7 @@ def test_vibration_alone_is_no_cause(hidden: Callable[..., Any]) -> None:
         assert findings.causes == ()
 
 
+@pytest.mark.long
 def test_backlash_is_found_beside_vibration(hidden: Callable[..., Any]) -> None:
     findings = explain(hidden("backlash@tilt:0.0012", seed=7), 1.0).findings
     assert [cause.term.cause for cause in findings.causes] == ["backlash"]

@@ -42,6 +42,7 @@ def test_ramps_as_told_have_none_and_a_limit(hidden: Callable[..., Any]) -> None
     assert all(1e-5 < detection_limit.size < 1e-2 for detection_limit in ramps.detection_limits)
 
 
+@pytest.mark.long
 def test_the_replies_name_a_base_speed_for_the_search(hidden: Callable[..., Any]) -> None:
     session = hidden("base_speed_jump:0.15", seed=7)
     space = MotionFitSpace(fit_base_model([session.recording], session.board))

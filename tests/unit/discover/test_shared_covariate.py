@@ -16,6 +16,7 @@ from gyrorig_solver.discover import explain_fit
 FIRST_SEED, SEED = 6_600_000, 6_600_002
 
 
+@pytest.mark.long
 def test_two_names_that_imitate_one_function_of_the_time_are_rejected(tmp_path: Path) -> None:
     make.main(
         ["--out", str(tmp_path), "--tier", "nearly", "--base", str(FIRST_SEED),

@@ -31,6 +31,7 @@ def test_where_flicker_says_it_as_well_there_is_no_name(hidden: Callable[..., An
     assert not findings.causes
 
 
+@pytest.mark.long
 def test_over_longer_it_is_named(hidden: Callable[..., Any]) -> None:
     session = hidden("bias_random_walk:0.0003", program="survey-130")
     solution = fit_base_model([session.recording], session.board)
@@ -101,6 +102,7 @@ def test_levels_are_calm_by_ratio_however_small(hidden: Callable[..., Any]) -> N
     assert not has_typical_noise(replace(solution, noises=(replace(noise, levels=levels),)))
 
 
+@pytest.mark.long
 def test_a_hidden_step_raises_the_levels_and_is_found(hidden: Callable[..., Any]) -> None:
     session = hidden("bias_step@y:0.002")
     solution = fit_base_model([session.recording], session.board)

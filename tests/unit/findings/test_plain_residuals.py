@@ -50,6 +50,7 @@ def significant_tests(left: FloatArray | None, seed: int) -> list[DependenceTest
     return [test for test in tests if test.p_value < DEPENDENCE_FALSE_ALARM_RATE]
 
 
+@pytest.mark.long
 def test_noise_alone_raises_few_alarms() -> None:
     """All tests share 1 in 1000: two in 150 by chance are rarer than 2 in 100."""
     assert sum(bool(significant_tests(None, k)) for k in range(150)) <= 1

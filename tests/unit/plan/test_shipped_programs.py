@@ -63,6 +63,7 @@ def test_it_shows_everything_in_its_time(
     assert len(tilts) >= 3  # with two, axes that are not square are not seen at any size
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("planned", "by_hand"), [("survey-130", "full"), ("survey-40", "quick")])
 def test_surveys_know_more_by_name_than_programs_by_hand(
     planned: str, by_hand: str, rig: RigModel, sensor: SensorModel, shipped: Shipped

@@ -39,6 +39,7 @@ def session(
     return make(time_s, rate), read_attitude(at_s, q, np.full(at_s.size, np.nan))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("angle_noise_rad", "rate_noise_rad_s"),
     [(1e-3, 1e-3), (1e-5, 2e-2)],

@@ -78,6 +78,7 @@ def test_rests_are_found_where_they_are(
         assert rest.end_s <= begin_s + 3.6
 
 
+@pytest.mark.long
 def test_errors_are_what_the_covariance_says(
     samples_of: Maker, true_gain: FloatArray, true_bias_rad_s: FloatArray
 ) -> None:

@@ -131,6 +131,7 @@ def test_few_poses_determine_little_and_give_reasons(load: Loader) -> None:
     assert any("turn the board about all axes" in reason for reason in fit.observability.reasons)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("train", "test", "raw_deg", "after_deg"),
     [

@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from tests.unit.security.test_security_sources import PRODUCT, ROOT, trees, where
+from tests.unit.security.test_security_sources import PRODUCT, ROOT, dotted_name, trees, where
 
 from gyrorig_protocol.child_process import module_command, protect_children
 
@@ -73,7 +73,7 @@ def test_every_python_is_started_by_one_function() -> None:
         where(path, node)
         for path, tree in trees()
         for node in ast.walk(tree)
-        if isinstance(node, ast.Attribute) and ast.unparse(node) == "sys.executable"
+        if isinstance(node, ast.Attribute) and dotted_name(node) == "sys.executable"
     ]
     outside = [place for place in places if "child_process.py" not in place]
     assert [place for place in outside if not place.startswith("systemd/")] == []

@@ -34,11 +34,18 @@ def trees() -> list[tuple[Path, ast.AST]]:
     return [(path, ast.parse(path.read_text(encoding="utf-8"))) for path in PRODUCT]
 
 
+def dotted_name(node: ast.expr) -> str:
+    """Return `a.b.c`; what is neither a name nor an attribute is left out: `.c` of `f().c`."""
+    if isinstance(node, ast.Attribute):
+        return f"{dotted_name(node.value)}.{node.attr}"
+    return node.id if isinstance(node, ast.Name) else ""
+
+
 def calls(tree: ast.AST) -> Iterator[tuple[str, ast.Call]]:
     """Every call with its dotted name."""
     for node in ast.walk(tree):
         if isinstance(node, ast.Call):
-            yield ast.unparse(node.func), node
+            yield dotted_name(node.func), node
 
 
 def where(path: Path, node: ast.expr | ast.stmt) -> str:

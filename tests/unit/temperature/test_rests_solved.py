@@ -29,6 +29,7 @@ def document_of(board: dict[str, Any]) -> CalibrationDocument:
     return parse_calibration(Path(board["file"]).read_bytes(), board["file"])
 
 
+@pytest.mark.long
 def test_a_warm_up_gives_a_curve_and_its_finding(
     import_soak: ImportSoak, tmp_path: Path, capsys: Captured
 ) -> None:
@@ -119,6 +120,7 @@ def test_recordings_at_several_temperatures_give_one_curve(
     assert record.range_degc == pytest.approx([5.0, 55.0], abs=1.0)
 
 
+@pytest.mark.long
 def test_a_hysteresis_is_stated_and_not_left_in_the_residual(
     import_soak: ImportSoak, tmp_path: Path, capsys: Captured
 ) -> None:

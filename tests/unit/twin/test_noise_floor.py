@@ -7,6 +7,7 @@ import json
 from pathlib import Path
 
 import numpy as np
+import pytest
 import yaml
 from tests.hidden.independent.draws import drawn
 from tests.hidden.independent.make import make
@@ -27,6 +28,7 @@ def twin_floor(recording: Path, out: Path) -> Vector:
     return board.noise_floor
 
 
+@pytest.mark.long
 def test_recording_twin_and_recording_of_the_twin_have_one_floor(tmp_path: Path) -> None:
     make(tmp_path / "case", drawn(SEED, "nulls"))
     answer = json.loads((tmp_path / "case" / "answer.json").read_text("utf-8"))

@@ -94,6 +94,7 @@ def budget(leaning: Session) -> UncertaintyBudget:
     return assess_uncertainty(leaning.fit)
 
 
+@pytest.mark.long
 def test_the_total_covers_an_error_that_the_noise_does_not(
     leaning: Session, budget: UncertaintyBudget
 ) -> None:
@@ -184,6 +185,7 @@ def test_fitted_sizes_take_no_part(leaning: Session) -> None:
     assert not unfitted.is_present
 
 
+@pytest.mark.long
 def test_a_board_at_rest_has_a_budget_of_its_bias(resting: Session) -> None:
     std = assess_uncertainty(resting.fit).std
     bias = [CALIBRATION_PARAMETERS.index(f"bias.{axis}") for axis in "xyz"]

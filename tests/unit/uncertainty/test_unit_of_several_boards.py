@@ -73,6 +73,7 @@ def total_of(calibration: Any, parameter: str) -> float:
     return float(calibration["uncertainty"]["parameters"][parameter]["total"])
 
 
+@pytest.mark.long
 def test_the_total_uncertainty_shrinks_and_the_truth_stays_inside(rig: Rig) -> None:
     totals = []
     for number in range(BOARDS):
