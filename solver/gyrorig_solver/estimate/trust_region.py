@@ -145,7 +145,8 @@ def minimise(
     undamped: list[FloatArray] = []  # the full steps that were accepted one after the other
     full = problem.propose(0.0)
     for evaluation in range(max_evaluations):
-        if was_accepted and _is_negligible(full, previous_sigma, shrinkage_limit):
+        is_late = evaluation >= LATE_EVALUATIONS
+        if was_accepted and _is_negligible(full, previous_sigma, shrinkage_limit, is_late):
             problem.finish(full)
             return Convergence(True, evaluation, full.predicted_decrease)
         if _leads_back(full, undamped, bool(damping) or not was_accepted):
@@ -178,14 +179,19 @@ def minimise(
     return _not_converged(problem, full, max_evaluations)
 
 
-def _is_negligible(full: ProposedStep, previous_sigma: float, shrinkage_limit: float) -> bool:
+def _is_negligible(
+    full: ProposedStep, previous_sigma: float, shrinkage_limit: float, is_late: bool
+) -> bool:
     """Return whether a full step, and those that would follow, change nothing.
 
-    Successive steps shrink by a factor, and their predicted decreases by its square.
+    Successive steps shrink by a factor, and their predicted decreases by its square. Late in a fit,
+    small steps that do not shrink follow a derivative that the objective does not have: where the
+    stage comes to lie in a gap, for example, it changes by whole intervals of the grid.
     """
     size = full.size_sigma
     shrinkage = size / previous_sigma if 0.0 < previous_sigma < np.inf else 1.0
-    is_small = size < CONVERGED_SIGMA or (size < STEP_SHRINKAGE and shrinkage < shrinkage_limit)
+    has_shrunk = shrinkage < shrinkage_limit or is_late
+    is_small = size < CONVERGED_SIGMA or (size < STEP_SHRINKAGE and has_shrunk)
     remaining = full.predicted_decrease * min(1.0, shrinkage) ** 2
     return is_small and remaining < NEGLIGIBLE_NATS
 

@@ -9,6 +9,7 @@ from gyrorig_protocol.errors import InputError
 from gyrorig_solver.data import FloatArray
 from gyrorig_solver.estimate import Convergence
 from gyrorig_solver.estimate.trust_region import (
+    LATE_EVALUATIONS,
     MAX_INCREASE_NATS,
     NEGLIGIBLE_NATS,
     NotConvergedError,
@@ -182,3 +183,35 @@ def test_steps_that_lead_back_end_the_fit() -> None:
     # Small steps may end in many ways: they are not judged.
     slow = Circle(decrease=1.0)
     assert minimise(slow, MANY).evaluations > 6
+
+
+@dataclass
+class Plateau(Circle):
+    """Every step is the same, and the objective does not follow its derivative."""
+
+    size_sigma: float = 0.02
+    finished: bool = False
+
+    def propose(self, damping: float) -> ProposedStep:
+        step = np.array([self.size_sigma, 0.0])
+        return ProposedStep(step, (), 0.5 * self.size_sigma**2, step)
+
+    def evaluate(self, proposal: ProposedStep) -> float:
+        self.evaluations += 1
+        return 0.0
+
+    def renew_derivatives(self) -> bool:
+        return True
+
+    def finish(self, proposal: ProposedStep) -> None:
+        self.finished = True
+
+
+def test_small_steps_that_change_nothing_end_the_fit() -> None:
+    level = Plateau()
+    solution = minimise(level, MANY)
+    assert solution.converged
+    assert level.finished
+    assert level.evaluations == LATE_EVALUATIONS
+    # A fit that still moves, or that would gain something, goes on.
+    assert not minimise(Plateau(size_sigma=0.2), MANY).converged
