@@ -5,9 +5,10 @@ Part of the load is on a spring. Its deflection q relative to the driven angle x
     q'' + 2 z w q' + w^2 q = -x'',      angle of the stage = x + share * q
 
 with the angular frequency w of the mode, its damping ratio z, and the share of the load that
-oscillates. The planned motion consists of parabolas with jumps of the speed between them, so
-that q has a closed form on each. If an S-curve averages the plan, q is averaged with it. Its
-antiderivative follows from the equation itself, Q = -(x' + q' + 2 z w q) / w^2.
+oscillates. The planned motion behind the gear consists of parabolas with jumps of the speed
+between them, so that q has a closed form on each. If an S-curve averages the plan, q is averaged
+with it. Its antiderivative follows from the equation itself, Q = -(x' + q' + 2 z w q) / w^2. With
+an S-curve and a gap this is an approximation: the gap is crossed once the averaged motion did.
 """
 
 import math

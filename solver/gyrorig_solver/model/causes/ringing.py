@@ -1,8 +1,8 @@
 """Ringing: a structural resonance of the stage responds to each start and stop.
 
-angle + A q, q'' + 2 z w q' + w^2 q = -angle'': a mode of the head, excited by the motor's
-acceleration. A is its share in the rotation of the stage. 5 to 60 Hz, damping 0.025 to 0.1 (Q 5 to
-20), shares of 3 to 12 % (from memory).
+angle + A q, q'' + 2 z w q' + w^2 q = -angle'': a mode of the head, excited by the acceleration
+of the stage behind the gear. A is its share in the rotation of the stage. 5 to 60 Hz, damping
+0.025 to 0.1 (Q 5 to 20), shares of 3 to 12 % (from memory).
 """
 
 import numpy as np

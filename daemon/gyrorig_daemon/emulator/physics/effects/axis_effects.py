@@ -80,7 +80,10 @@ class StepEffect(Protocol):
         ...
 
     def standing_s(self, motor: Motor, after_s: float, until_s: float) -> list[tuple[float, float]]:
-        """Return the intervals in [after, until] in which only the rotor moves, in order."""
+        """Return the intervals in which only the rotor moves, in order.
+
+        Those that end after `after_s` and begin until `until_s`, each with its true end.
+        """
         ...
 
     def forget(self, time_s: float) -> None:
