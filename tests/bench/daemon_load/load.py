@@ -1,4 +1,4 @@
-"""Sixteen boards as one cheap program: eight on pseudo-terminals, eight on two CAN buses.
+"""Sixteen boards in one small program: eight on pseudo-terminals, eight on two CAN buses.
 
 Four gyroscope boards of 800 Hz load a CAN bus of 1 Mbit/s to 40 %: eight on one would be
 80 %, and a frame then waits for several others before it is sent.
@@ -40,23 +40,29 @@ def build(folder: Path) -> tuple[Path, Path]:
 
 
 @dataclass(frozen=True)
-class Taken:
-    """What a board says of itself at the end."""
+class BoardCounts:
+    """Counts of a board, which it reports at the end."""
 
     samples: int
-    dropped: int  # frames that its line did not take
-    lost: int  # before it sent them: the load's own program was held up for a second
+    dropped: int  # frames that its line did not accept
+    lost: int  # before it sent them, because the load's program was stalled for a second
 
 
 class Load:
     """The boards, from `start` until `stop`. Use it as a context."""
 
-    def __init__(self, program: Path, rate_hz: float, before: Sequence[str] = ()) -> None:
+    def __init__(
+        self,
+        program: Path,
+        rate_hz: float,
+        before: Sequence[str] = (),
+        serial_count: int = SERIAL_BOARDS,
+    ) -> None:
         self._program, self._rate_hz, self._before = program, rate_hz, before
-        self.late_us = (0, 0, 0)  # median, 99th percentile, worst: the load's own
+        self.late_us = (0, 0, 0)  # median, 99th percentile, maximum of the load itself
         self._process: subprocess.Popen[str] | None = None
-        pairs = [os.openpty() for _ in range(SERIAL_BOARDS)]
-        self._masters = [master for master, _ in pairs]
+        pairs = [os.openpty() for _ in range(serial_count)]
+        self.serial_lines = [master for master, _ in pairs]
         self._slaves = [slave for _, slave in pairs]
         for slave in self._slaves:
             tty.setraw(slave)
@@ -69,9 +75,9 @@ class Load:
         return [f"udp_multicast:{GROUP}:{port}@127.0.0.1" for port in self.bus_ports]
 
     def start(self, seconds: float, interface: str = "127.0.0.1") -> None:
-        """Let the boards send for so long at most; python-can hears only 0.0.0.0's choice."""
+        """Let the boards send for at most so long; python-can receives only from 0.0.0.0."""
         buses = [f"{GROUP}:{port}:{NODES}:{interface}" for port in self.bus_ports]
-        fds = [str(master) for master in self._masters]
+        fds = [str(master) for master in self.serial_lines]
         self._process = subprocess.Popen(
             [
                 *self._before,
@@ -82,12 +88,12 @@ class Load:
                 "--",
                 *buses,
             ],
-            pass_fds=self._masters,
+            pass_fds=self.serial_lines,
             stdout=subprocess.PIPE,
             text=True,
         )
         if self._process.stdout is None or self._process.stdout.readline() != "ready\n":
-            raise RuntimeError("the load did not start")
+            raise RuntimeError("The load did not start.")
 
     @property
     def pid(self) -> int:
@@ -96,17 +102,17 @@ class Load:
             raise RuntimeError("not started")
         return self._process.pid
 
-    def stop(self) -> dict[str, Taken]:
-        """End the boards and return what each took, by uid."""
+    def stop(self) -> dict[str, BoardCounts]:
+        """End the boards and return the counts of each, by uid."""
         if self._process is None:
             return {}
         self._process.terminate()
         output, _ = self._process.communicate(timeout=20)
         self._process = None
         rows = [line.split() for line in output.splitlines()]
-        *told_boards, (_, p50, p99, worst) = rows
-        self.late_us = int(p50), int(p99), int(worst)
-        return {row[0]: Taken(*(int(word) for word in row[1:])) for row in told_boards}
+        *board_rows, (_, p50, p99, maximum) = rows
+        self.late_us = int(p50), int(p99), int(maximum)
+        return {row[0]: BoardCounts(*(int(word) for word in row[1:])) for row in board_rows}
 
     def __enter__(self) -> "Load":
         return self
@@ -118,7 +124,7 @@ class Load:
         trace: TracebackType | None,
     ) -> None:
         self.stop()
-        for fd in (*self._masters, *self._slaves):
+        for fd in (*self.serial_lines, *self._slaves):
             with suppress(OSError):
                 os.close(fd)
 

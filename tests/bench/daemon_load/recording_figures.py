@@ -1,4 +1,4 @@
-"""What a recording of the load tells: losses by the boards' own counters, lateness of stamps."""
+"""Losses by the boards' own counters and lateness of stamps in a recording of the load."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -36,13 +36,20 @@ class RecordingFigures:
     size: int
 
 
-def tell(path: Path) -> RecordingFigures:
-    """Return what a recording holds; device times must be CLOCK_MONOTONIC_RAW in us."""
+def read_figures(path: Path, flooded_board: str) -> RecordingFigures:
+    """Return the figures of a recording; device times must be CLOCK_MONOTONIC_RAW in us.
+
+    Args:
+        path: the recording.
+        flooded_board: left out.
+    """
     recording = read_recording(path)
     metadata = recording.metadata["gyrorig"]
     utc_minus_raw_ns = int(metadata["anchor_utc_ns"]) - int(metadata["anchor_monotonic_raw_ns"])
     boards: list[BoardFigures] = []
     for board in recording.board_ids:
+        if board == flooded_board:
+            continue
         imu = recording.imu(board)
         numbers = imu["sequence"].astype(np.int64)
         steps = np.diff(numbers) % WRAP

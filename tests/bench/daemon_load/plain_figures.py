@@ -1,4 +1,4 @@
-"""What the plain recording holds: frames counted by the boards' own numbers."""
+"""Losses by the boards' own counters in a recording of libraries alone."""
 
 import struct
 from pathlib import Path
@@ -23,7 +23,7 @@ class _Counter:
         self.samples = self.missing = 0
         self._last: int | None = None
 
-    def take(self, number: int) -> None:
+    def count(self, number: int) -> None:
         self.samples += 1
         if self._last is not None:
             step = (number - self._last) % WRAP
@@ -31,7 +31,7 @@ class _Counter:
         self._last = number
 
 
-def tell_plain(folder: Path) -> dict[str, Any]:
+def read_plain_figures(folder: Path) -> dict[str, Any]:
     """Return counts and lateness of both halves."""
     serial, serial_late = _serial(folder / "serial.mcap")
     buses = _buses(folder)
@@ -59,7 +59,7 @@ def _serial(path: Path) -> tuple[dict[str, _Counter], np.ndarray[Any, np.dtype[n
             counter = counters.setdefault(channel.topic, _Counter())
             for event in parser.feed(message.data[STAMPED.size :], arrived_ns):
                 if isinstance(event, FrameEvent) and isinstance(event.frame, Sample):
-                    counter.take(event.frame.sequence)
+                    counter.count(event.frame.sequence)
                     late_us = (arrived_ns / 1000.0 - (event.frame.device_time or 0)) % 2**32
                     late_ms.append(late_us / 1000.0)
     return counters, np.array(late_ms)
@@ -78,5 +78,5 @@ def _buses(folder: Path) -> dict[tuple[int, int], _Counter]:
             counter = counters.setdefault((number, node), _Counter())
             for event in parsers[node].feed(frame):
                 if isinstance(event, FrameEvent) and isinstance(event.frame, Sample):
-                    counter.take(event.frame.sequence)
+                    counter.count(event.frame.sequence)
     return counters

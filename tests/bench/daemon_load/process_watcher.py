@@ -40,20 +40,20 @@ def usage(pid: int) -> tuple[float, int]:
     return (int(fields[11]) + int(fields[12])) / TICKS_HZ, int(fields[21]) * PAGE_KB
 
 
-class Watcher:
-    """Looks at a process and its children until it is stopped."""
+class ProcessWatcher:
+    """Reads processor time and memory of a process and its children until it is stopped."""
 
     def __init__(self, pid: int, every_s: float = 2.0) -> None:
         self._pid, self._every_s = pid, every_s
-        self.seen: dict[int, ProcessHistory] = {}
+        self.histories: dict[int, ProcessHistory] = {}
         self._ended = threading.Event()
-        self.began_s = time.monotonic()
-        self.lasted_s = 0.0
+        self._began_s = time.monotonic()
+        self.watched_s = 0.0
         self._thread = threading.Thread(target=self._run, daemon=True)
         self._thread.start()
 
     def stop(self) -> None:
-        """End looking."""
+        """End the thread."""
         self._ended.set()
         self._thread.join()
 
@@ -61,23 +61,23 @@ class Watcher:
         while not self._ended.wait(self._every_s):
             try:
                 for pid in (self._pid, *children(self._pid)):
-                    self._look(pid)
+                    self._read(pid)
             except (OSError, IndexError):
-                return  # it has ended
-            self.lasted_s = time.monotonic() - self.began_s
+                return  # the process has ended
+            self.watched_s = time.monotonic() - self._began_s
 
-    def _look(self, pid: int) -> None:
+    def _read(self, pid: int) -> None:
         cpu_s, rss_kb = usage(pid)
-        seen = self.seen.get(pid)
-        if seen is None:
-            seen = self.seen[pid] = ProcessHistory(_name(command(pid)), first_cpu_s=cpu_s)
-        seen.cpu_s = cpu_s - (seen.first_cpu_s or 0.0)
-        seen.rss_kb.append(rss_kb)
+        history = self.histories.get(pid)
+        if history is None:
+            history = self.histories[pid] = ProcessHistory(_name(command(pid)), first_cpu_s=cpu_s)
+        history.cpu_s = cpu_s - (history.first_cpu_s or 0.0)
+        history.rss_kb.append(rss_kb)
 
 
-def _name(called: str) -> str:
-    if "ports.acquisition" in called:
+def _name(command_line: str) -> str:
+    if "ports.acquisition" in command_line:
         return "acquisition"
-    if "emulate" in called:
+    if "emulate" in command_line:
         return "emulated unit"
     return "daemon"
