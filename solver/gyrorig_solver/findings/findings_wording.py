@@ -13,7 +13,13 @@ from gyrorig_solver.findings.findings_document import (
     FindingsDocument,
     SizeEntry,
 )
-from gyrorig_solver.model import DEG_PER_RAD, cause_display_unit, format_quantity, format_short
+from gyrorig_solver.model import (
+    DEG_PER_RAD,
+    cause_display_unit,
+    format_quantity,
+    format_short,
+    plural,
+)
 from gyrorig_solver.model.catalogue import catalogue
 
 # Verdict of the document: title and sentence.
@@ -40,6 +46,7 @@ _OTHER_TITLES = {
     ReferenceSmoothing.cause: ReferenceSmoothing.title,
 }
 MAX_NAMES_PER_LINE = 8
+MAX_CAUSES_IN_HEADING = 3
 MIN_SEPARATION_PROBABILITY = 0.5  # of one name; less is not called a separation
 MAX_STATED_PERCENT = 99.0  # a model cannot promise more
 MIN_P_VALUE = 1e-12  # smaller ones are not told apart
@@ -104,6 +111,26 @@ def place_text(where: str | None) -> str:
 def cause_headline(cause: CauseEntry) -> str:
     """Return a cause's title and place."""
     return cause_title(cause.cause) + place_text(cause.where)
+
+
+def lower_title(name: str) -> str:
+    """Return a cause's title as a part of a sentence."""
+    title = cause_title(name)
+    return title[:1].lower() + title[1:]
+
+
+def named_causes_text(document: FindingsDocument) -> str:
+    """Return a colon and the first three causes of a document, and the number of the others."""
+    if not document.causes:
+        return ""
+    texts = []
+    for cause in document.causes[:MAX_CAUSES_IN_HEADING]:
+        name = lower_title(cause.cause) + place_text(cause.where)
+        texts.append(", ".join(filter(None, (name, main_size_text(cause)))))
+    other_count = len(document.causes) - len(texts)
+    if other_count:
+        texts.append(f"and {plural(other_count, 'other cause')}")
+    return f": {'; '.join(texts)}"
 
 
 def main_size_text(cause: CauseEntry) -> str:
@@ -225,16 +252,7 @@ def _limit_text(limit: DetectableEntry) -> str:
 
 def _heading(document: FindingsDocument) -> str:
     board = f"{document.board.id} ({document.board.sensor or 'unknown sensor'})"
-    heading = f"{board}: {verdict_words(document)[0].lower()}"
-    if not document.causes:
-        return heading
-    texts = []
-    for cause in document.causes:
-        title = cause_headline(cause)
-        texts.append(
-            ", ".join(filter(None, (title[:1].lower() + title[1:], main_size_text(cause))))
-        )
-    return f"{heading}: {'; '.join(texts)}"
+    return f"{board}: {verdict_words(document)[0].lower()}{named_causes_text(document)}"
 
 
 def _cause_lines(document: FindingsDocument, cause: CauseEntry) -> list[str]:

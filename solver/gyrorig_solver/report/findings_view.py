@@ -16,7 +16,8 @@ from gyrorig_solver.findings import (
 from gyrorig_solver.findings.findings_document import ChangeEntry, GainEntry
 from gyrorig_solver.findings.findings_wording import (
     cause_headline,
-    main_size_text,
+    lower_title,
+    named_causes_text,
     p_value_text,
     parameter_bias_sigma,
     size_text,
@@ -51,15 +52,13 @@ DEPENDENCE_CAPTIONS = {
 def findings_view(document: FindingsDocument, figures: Mapping[str, str]) -> dict[str, Any]:
     """Return the texts, rows and figures for the template."""
     heading, text = verdict_words(document)
-    if document.causes:
-        heading += ": " + "; ".join(_cause_text(cause) for cause in document.causes)
     return {
         "board": document.board.id,
         "sensor": document.board.sensor or "unknown sensor",
         "created": document.created,
         "software": document.software,
         "tone": TONES[document.verdict],
-        "verdict_title": heading,
+        "verdict_title": heading + named_causes_text(document),
         "verdict_text": text,
         "summaries": _summaries(document),
         "tiles": _tiles(document),
@@ -101,12 +100,6 @@ def _next_program_view(document: FindingsDocument) -> dict[str, Any] | None:
     }
 
 
-def _cause_text(cause: CauseEntry) -> str:
-    """Return a cause with its place and size: "the gears have backlash, on tilt, 0.1 deg"."""
-    size = main_size_text(cause)
-    return _lower_title(cause.cause) + place_text(cause.where) + (f", {size}" if size else "")
-
-
 def _summaries(document: FindingsDocument) -> list[dict[str, str]]:
     """Return every cause, and the unexplained residual, in a few lines each."""
     summaries = [_summary(document, cause) for cause in document.causes]
@@ -135,7 +128,7 @@ def _summary(document: FindingsDocument, cause: CauseEntry) -> dict[str, str]:
     if posterior is not None:
         confidence.append(f"posterior probability {_probability_text(posterior)}")
     if cause.one_of:
-        confidence.append(f"could also be: {', or '.join(map(_lower_title, cause.one_of))}")
+        confidence.append(f"could also be: {', or '.join(map(lower_title, cause.one_of))}")
     return {
         "name": cause_headline(cause),
         "effect": _effect_text(document, cause),
@@ -162,11 +155,6 @@ def _effect_text(document: FindingsDocument, cause: CauseEntry) -> str:
 
 def _sentence(text: str) -> str:
     return text[:1].upper() + text[1:].rstrip(".") + "." if text else ""
-
-
-def _lower_title(cause: str) -> str:
-    title_text = cause_title(cause)
-    return title_text[0].lower() + title_text[1:]
 
 
 def _tiles(document: FindingsDocument) -> list[dict[str, str]]:
@@ -231,7 +219,7 @@ def _cause_view(
         "title": cause_headline(cause),
         "id": cause.cause,
         "part": cause.part,
-        "one_of": [_lower_title(other) for other in cause.one_of],
+        "one_of": [lower_title(other) for other in cause.one_of],
         "equation": cause_equation(cause.cause),
         "seen_as": cause.evidence.seen_as[:1].upper() + cause.evidence.seen_as[1:],
         "sizes": [

@@ -143,6 +143,22 @@ def test_a_person_reads_verdict_cause_size_and_remedy(
     assert "tilt_sag below 0.0802 deg; a smaller size would bias scale.z by up to 36.0 " in summary
 
 
+def test_a_heading_names_three_causes_and_counts_the_others(
+    findings: CauseFindings, origin: FindingsOrigin
+) -> None:
+    (cause,) = findings.causes
+
+    def heading(count: int) -> str:
+        many = replace(findings, causes=(cause,) * count)
+        return findings_summary(build_findings_document(many, [], origin)).splitlines()[0]
+
+    assert heading(3).count("backlash") == 3
+    assert heading(3).endswith("deg")
+    assert heading(4).count("backlash") == 3
+    assert heading(4).endswith("; and 1 other cause")
+    assert heading(11).endswith("; and 8 other causes")
+
+
 def test_every_cause_has_a_title_and_a_remedy() -> None:
     for cause in (*catalogue(), ReferenceSmoothing.cause):
         assert cause_title(cause)

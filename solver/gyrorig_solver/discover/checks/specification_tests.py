@@ -13,7 +13,8 @@ by Bonferroni; a right cause is rejected in at most `REJECTION_LEVEL` of session
 angle is also rejected if a smooth function of that angle is decisively more probable, and a cause
 of the time if the heat of the motors is (`motor_heat`). An excess
 below `NEGLIGIBLE_SHARE` of the explained statistic is ignored, because no form is exact. A rejected
-cause keeps its name if it explains far more than a smooth function alone; see decision 0071.
+cause keeps its name if it explains far more than a smooth function alone; see decisions 0071
+and 0078.
 
 What to use when: `SpecificationCheck` after a search.
 
@@ -51,6 +52,7 @@ REJECTION_LEVEL = (
 NEGLIGIBLE_SHARE = MODEL_ERROR_SHARE  # share of a cause's own statistic
 # Of a cause's own nats, by which it must lead a smooth function: half of the effect has its form.
 FORM_ERROR_SHARE = 0.5
+LONE_FORM_SHARE = 0.2  # the same, if nothing but model error is left beside the cause
 DECISIVE_NATS = 4.6  # nats, odds of a hundred: Jeffreys, Theory of Probability, appendix B
 WHOLE_STEP_SIGMA = 5.0  # that a loss must lie below a step to be none
 
@@ -76,7 +78,8 @@ def is_better_than_functions(model: JudgedModel[Space], k: int, ranked: RankedCa
 
     Then the name stays, and the rest is reported beside it: the effect has the form of the cause,
     and something else acts as well. It must be smaller: beside a larger unknown effect, a cause can
-    be the part of it that no smooth function follows.
+    be the part of it that no smooth function follows. If the rest is not larger than the error of a
+    right form, there is no second effect, and a smaller lead is enough.
 
     Args:
         model: the model with the cause.
@@ -89,7 +92,10 @@ def is_better_than_functions(model: JudgedModel[Space], k: int, ranked: RankedCa
         return False
     alone_nats = best_function_nats(model.space.projector_without(k))
     lead_nats = candidate.log_evidence + beside_nats - alone_nats
-    return lead_nats > max(DECISIVE_NATS, FORM_ERROR_SHARE * candidate.delta_log_likelihood)
+    explained_nats = candidate.delta_log_likelihood
+    is_alone = beside_nats <= NEGLIGIBLE_SHARE * explained_nats
+    needed_share = LONE_FORM_SHARE if is_alone else FORM_ERROR_SHARE
+    return lead_nats > max(DECISIVE_NATS, needed_share * explained_nats)
 
 
 def best_function_nats(projector: NuisanceProjector, covariate: str | None = None) -> float:
