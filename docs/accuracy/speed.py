@@ -54,26 +54,19 @@ def growth() -> str:
     rows = []
     for row in measurement["rows"]:
         minutes = row["seconds"] / 60.0
-        spent = row["cpu_s"]
         rows.append(
             (
                 f"{minutes:.0f} min" if minutes < 60 else f"{minutes / 60:.0f} h",
+                f"{row['rate_hz']:.0f}",
                 f"{row['samples']}",
-                *(f"{spent[part]:.2f}" for part in ("reading", "clocks", "reference", "solve")),
-                f"{row['total_cpu_s']:.1f}",
+                f"{row['megabytes']:.0f}",
+                f"{row['cpu_s']:.1f}",
                 f"{row['us_per_sample']:.1f}",
                 f"{row['peak_mb']:.0f}",
             )
         )
-    head = [
-        "length",
-        "samples",
-        "reading, s",
-        "clocks, s",
-        "reference, s",
-        "solve, s",
-    ]
-    return table([*head, "all steps, s", "µs per sample", "peak memory, MB"], rows)
+    head = ["length", "samples per second", "samples", "file, MB", "processor time, s"]
+    return table([*head, "µs per sample", "peak memory, MB"], rows)
 
 
 BLOCKS: dict[str, Block] = {

@@ -132,9 +132,9 @@ def programmed(seconds: float, rng: np.random.Generator) -> tuple[dict[str, Axis
 class Board:
     """The board's samples, minute by minute; remembers its filter, clock and line."""
 
-    def __init__(self, axes: dict[str, Axis], rng: np.random.Generator) -> None:
-        self._axes, self._rng = axes, rng
-        b, a = butter(2, BANDWIDTH_HZ, fs=RATE_HZ * FINE)
+    def __init__(self, axes: dict[str, Axis], rng: np.random.Generator, rate_hz: float) -> None:
+        self._axes, self._rng, self._rate_hz = axes, rng, rate_hz
+        b, a = butter(2, bandwidth_hz(rate_hz), fs=rate_hz * FINE)
         self._filter = (b, a)
         self._state = np.zeros((2, 3))
         self._bias = BIAS_RAD_S.copy()
@@ -151,7 +151,7 @@ class Board:
     def piece(self, count: int) -> dict[str, NDArray[np.int64]]:
         """Return the next samples as `write_imu_array` wants them."""
         rng, n = self._rng, count
-        fine_s = (self.first * FINE + np.arange(n * FINE)) / (RATE_HZ * FINE)
+        fine_s = (self.first * FINE + np.arange(n * FINE)) / (self._rate_hz * FINE)
         time_s = fine_s[FINE - 1 :: FINE]
         _, pan_speed = self._axes["P"].at(fine_s)
         tilt, tilt_speed = self._axes["T"].at(fine_s)
@@ -160,9 +160,10 @@ class Board:
         stage = np.column_stack(
             [tilt_speed * RAD_PER_STEP, about_z * np.sin(angle), about_z * np.cos(angle)]
         )
-        white = rng.normal(size=stage.shape) * NOISE_RAD_S_RTHZ * np.sqrt(RATE_HZ * FINE / 2.0)
+        noise_std = NOISE_RAD_S_RTHZ * np.sqrt(self._rate_hz * FINE / 2.0)
+        white = rng.normal(size=stage.shape) * noise_std
         seen, self._state = lfilter(*self._filter, stage @ GAIN.T + white, axis=0, zi=self._state)
-        walk = rng.normal(size=(n, 3)) * BIAS_WALK_RAD_S_RTS / np.sqrt(RATE_HZ)
+        walk = rng.normal(size=(n, 3)) * BIAS_WALK_RAD_S_RTS / np.sqrt(self._rate_hz)
         bias = self._bias + np.cumsum(walk, axis=0)
         self._bias = bias[-1]
         counts = np.rint((seen[FINE - 1 :: FINE] + bias) / GYRO_SCALE_RAD_S)
@@ -231,7 +232,12 @@ def ping(at_s: float, board: Board, nonce: int, rng: np.random.Generator) -> Clo
     return ClockPing(stamps[0], stamps[1], received, sent, nonce, 0)
 
 
-def metadata() -> dict[str, dict[str, str]]:
+def bandwidth_hz(rate_hz: float) -> float:
+    """Return the bandwidth of the low-pass at a data rate: that of the sensor, or less."""
+    return min(BANDWIDTH_HZ, 0.3 * rate_hz)
+
+
+def metadata(rate_hz: float) -> dict[str, dict[str, str]]:
     """What the daemon would have written."""
     ptu = {"model": "PTU-E46-17.5", "dialect": "e46", "baud": "115200"}
     for axis, low, high in (("pan", -3090, 3090), ("tilt", -907, 604)):
@@ -251,7 +257,7 @@ def metadata() -> dict[str, dict[str, str]]:
         "gyrorig.ptu": ptu,
         f"gyrorig.board.{BOARD}": {
             "uid": "10000001", "model": "GY80", "sensor": "L3G4200D", "link": "serial",
-            "odr_hz": str(RATE_HZ), "bandwidth_hz": str(BANDWIDTH_HZ),
+            "odr_hz": str(rate_hz), "bandwidth_hz": str(bandwidth_hz(rate_hz)),
             "gyro_full_scale_dps": "250.0", "gyro_scale_rad_s": repr(GYRO_SCALE_RAD_S),
             "accel_scale_m_s2": str(ACCEL_SCALE_M_S2), "temperature_scale_c": "0.5",
             "temperature_offset_c": "15.0", "tick_hz": str(TICK_HZ), "counter_bits": "32",
@@ -259,19 +265,19 @@ def metadata() -> dict[str, dict[str, str]]:
     }  # fmt: skip
 
 
-def write_long(path: Path, seconds: float, seed: int = 1) -> int:
+def write_long(path: Path, seconds: float, seed: int = 1, rate_hz: float = RATE_HZ) -> int:
     """Write a recording of so many seconds; returns its samples."""
     rng = np.random.default_rng(seed)
     axes, commands = programmed(seconds, rng)
-    board = Board(axes, rng)
+    board = Board(axes, rng, rate_hz)
     written = count = nonce = 0
-    with RecordingWriter(path, metadata()) as writer:
+    with RecordingWriter(path, metadata(rate_hz)) as writer:
         writer.write(
             SESSION_EVENT_TOPIC, SessionEvent(START_NS, EventKind.PHASE_BEGIN, "program", "")
         )
         for begin_s in np.arange(0.0, seconds, PIECE_S).tolist():
             end_s = min(begin_s + PIECE_S, seconds)
-            rows = board.piece(round(end_s * RATE_HZ) - board.first)
+            rows = board.piece(round(end_s * rate_hz) - board.first)
             here = [command for command in commands[written:] if command[0] < end_s]
             for asked_s, answered_s, text in here:
                 asked, first, last = (
@@ -282,8 +288,8 @@ def write_long(path: Path, seconds: float, seed: int = 1) -> int:
                 written += 1
             positions = polls(poll_times(begin_s, end_s, here, rng), axes, count, rng)
             waiting = next(positions, None)
-            for first in range(0, rows["sequence"].size, int(RATE_HZ) // 50):
-                part = slice(first, first + int(RATE_HZ) // 50)
+            for first in range(0, rows["sequence"].size, int(rate_hz) // 50):
+                part = slice(first, first + int(rate_hz) // 50)
                 row = {name: values[part] for name, values in rows.items()}
                 writer.write_imu_array(BOARD, publish_time_ns=None, **row)
                 now_ns = int(row["host_time_ns"][-1])
@@ -309,8 +315,9 @@ def main() -> None:
     parser.add_argument("out", type=Path)
     parser.add_argument("--seconds", type=float, default=600.0)
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--rate", type=float, default=RATE_HZ, help="samples per second")
     given = parser.parse_args()
-    print(write_long(given.out, given.seconds, given.seed), "samples")  # noqa: T201
+    print(write_long(given.out, given.seconds, given.seed, given.rate), "samples")  # noqa: T201
 
 
 if __name__ == "__main__":

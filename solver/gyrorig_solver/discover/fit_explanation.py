@@ -230,7 +230,7 @@ def _untestable_causes(
         elif term.is_noise_process:
             untestable.append(UntestableCause(cause, None, _describe_random_walk(projection)))
         elif term.kind in ("effect", "known"):
-            reasons = (term.reason_not_testable(state) for state in projection.states)
+            reasons = (term.why_not_testable(state) for state in projection.states)
             missing = next((reason for reason in reasons if reason is not None), None)
             if missing is not None:
                 untestable.append(UntestableCause(cause, None, missing))

@@ -93,7 +93,7 @@ class HeldOutRecording:
         left_out: list[FittedTerm] = []
         for extension in solution.fitted_terms:
             persists = extension.term.kind == "known" or extension.term.scope != "recording"
-            if persists and extension.term.reason_not_testable(scene) is None:
+            if persists and extension.term.why_not_testable(scene) is None:
                 applicable.append(
                     replace(
                         extension, free_indices=np.zeros(0, dtype=np.int64), other_boards_prior=None

@@ -39,15 +39,25 @@ def select_testable(causes: Iterable[Term], projection: NuisanceProjector) -> li
 
 def testable_instances(term: Term, projection: NuisanceProjector) -> list[Term]:
     """Return a cause if it is testable, once per recording if its scope is the recording."""
-    recording_numbers = sorted({scene.context.recording_index for scene in projection.states})
-    per_recording = term.scope == "recording" and len(recording_numbers) > 1
     return [
         instance
-        for instance in (
-            [limit_to_recording(term, number) for number in recording_numbers]
-            if per_recording
-            else [term]
-        )
+        for instance in acting_instances(term, projection)
+        if all(instance.why_not_testable(scene) is None for scene in projection.states)
+    ]
+
+
+def acting_instances(term: Term, projection: NuisanceProjector) -> list[Term]:
+    """Return a cause that can act, tested or not, once per recording if that is its scope."""
+    recording_numbers = sorted({scene.context.recording_index for scene in projection.states})
+    per_recording = term.scope == "recording" and len(recording_numbers) > 1
+    instances = (
+        [limit_to_recording(term, number) for number in recording_numbers]
+        if per_recording
+        else [term]
+    )
+    return [
+        instance
+        for instance in instances
         if instance.kind == "effect"
         and all(instance.reason_not_testable(scene) is None for scene in projection.states)
     ]

@@ -76,6 +76,7 @@ from gyrorig_solver.estimate.parameter_layout import (
     SESSION_PARAMETERS,
     ParameterLayout,
 )
+from gyrorig_solver.estimate.sample_averaging import mean_duration_s
 from gyrorig_solver.estimate.series import Series, build_series, choose_grids
 from gyrorig_solver.estimate.session_fit import SessionFit
 from gyrorig_solver.estimate.shared_parameters import (
@@ -148,6 +149,7 @@ __all__ = [
     "join_signals",
     "judge_conventions",
     "marginalise",
+    "mean_duration_s",
     "nominal_levels",
     "propagate_to_factors",
     "reference_cost",

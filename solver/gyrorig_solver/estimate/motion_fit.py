@@ -244,12 +244,17 @@ def _count_used(masks: Sequence[Sequence[BoolArray]]) -> int:
 
 
 def _rest_to_rest_check(solution: ConvergedFit) -> CrossCheck | None:
-    """Compare the fit with the rotations between rests, on a pan-tilt unit."""
+    """Compare the fit with the rotations between rests, on a pan-tilt unit.
+
+    None without a unit, and for a long recording: its means are too coarse to be integrated.
+    """
     paths, variances = [], []
     for session in solution.sessions:
         reference = session.reference
         if not isinstance(reference, PanTiltReference):
             continue
+        if session.series[0].has_means and session.sampling.rate_hz < PATH_RATE_HZ:
+            return None
         step_rad = float(np.max(np.abs(reference.rad_per_step)))
         variances.append((reference.move_fit.rest_variance + DETENT_VARIANCE) * step_rad**2)
         for series, measured, effect, rate, used in zip(

@@ -15,7 +15,7 @@ import numpy as np
 from gyrorig_solver.data import BoolArray, FloatArray
 from gyrorig_solver.estimate.linear.packed_columns import PackedColumns, pack_columns
 from gyrorig_solver.estimate.series import Series
-from gyrorig_solver.model.low_pass import LowPass
+from gyrorig_solver.model.low_pass import LowPass, delay_distribution
 from gyrorig_solver.reference import ReferenceMotion
 
 FILTER_LEAD_S = 0.3  # a part starts this much earlier, for the filter to settle
@@ -55,7 +55,7 @@ def predict_rate(
     lead_samples = min(samples_wanted.start, int(np.ceil(FILTER_LEAD_S / series.period_s)))
     samples = slice(samples_wanted.start - lead_samples, samples_wanted.stop)
     edges = series.edges_s(samples, series.intervals_per_sample) - lag_s
-    stage_rate = reference.evaluate(edges, derivatives=False).rate_rad_s
+    stage_rate = _stage_rate(series, reference, edges)
     all_known = bool(np.isfinite(stage_rate.sum()))
     known: BoolArray = np.ones(len(stage_rate), dtype=np.bool_)
     if not all_known:
@@ -86,6 +86,21 @@ def predict_rate(
     )
 
 
+def _stage_rate(series: Series, reference: ReferenceMotion, edges_s: FloatArray) -> FloatArray:
+    """Return the mean stage rate between edges, (n, 3).
+
+    A series of means has no grid on which the low-pass could act. The mean of a filtered rate is
+    the weighted sum of means over delayed intervals. The fitted lag has the mean of the delays.
+    """
+    if not series.has_means or series.bandwidth_hz is None:
+        return reference.evaluate(edges_s, derivatives=False).rate_rad_s
+    delays_s, weights = delay_distribution(series.bandwidth_hz)
+    rate = np.zeros((edges_s.size - 1, 3))
+    for delay_s, weight in zip(delays_s, weights, strict=True):
+        rate += weight * reference.evaluate(edges_s - delay_s, derivatives=False).rate_rad_s
+    return rate
+
+
 def predict_derivatives(
     series: Series, blocks: slice, reference: ReferenceMotion, lag_s: float
 ) -> PartDerivatives:
@@ -98,7 +113,7 @@ def predict_derivatives(
         delay_s, low_pass = low_pass.delay_s, None
     intervals_per_block = (
         1
-        if low_pass is None and series.samples_per_block > 1
+        if low_pass is None and (series.samples_per_block > 1 or series.has_means)
         else _intervals_per_block(series, block_hz)
     )
     edges = series.block_edges_s(blocks, intervals_per_block) - lag_s - delay_s
@@ -135,9 +150,9 @@ def predict_derivatives(
 
 def low_pass_of(series: Series) -> LowPass | None:
     """Return the low-pass that `predict_rate` applies, or None."""
-    if series.bandwidth_hz is None:
+    if series.filter_bandwidth_hz is None:
         return None
-    return LowPass(series.bandwidth_hz, series.intervals_per_sample / series.period_s)
+    return LowPass(series.filter_bandwidth_hz, series.intervals_per_sample / series.period_s)
 
 
 def low_pass_delay_s(series: Series) -> float:
@@ -151,12 +166,14 @@ def instants_per_block(series: Series) -> int:
     if series.samples_per_block == 1:
         return 1
     block_hz = 1.0 / (series.period_s * series.samples_per_block)
-    return max(1, int(np.ceil(4.0 * (series.bandwidth_hz or 0.0) / block_hz)))
+    return max(1, int(np.ceil(4.0 * (series.filter_bandwidth_hz or 0.0) / block_hz)))
 
 
 def _intervals_per_block(series: Series, block_hz: float) -> int:
     """Return intervals per block; odd if a sample is an instant and not a mean."""
-    min_rate_hz = max(MIN_COARSE_GRID_HZ, COARSE_PER_BANDWIDTH * (series.bandwidth_hz or 0.0))
+    min_rate_hz = max(
+        MIN_COARSE_GRID_HZ, COARSE_PER_BANDWIDTH * (series.filter_bandwidth_hz or 0.0)
+    )
     intervals = max(1, int(np.ceil(min_rate_hz / block_hz)))
     return intervals + (1 - intervals % 2) * (series.samples_per_block == 1)
 

@@ -1,8 +1,9 @@
 """Uniform series of a board's samples, and their grids.
 
 Each segment between resets and long gaps becomes one series. Block means reduce 800 Hz to about 100
-Hz, which keeps the information in a trapezoid's ramps and makes a solve fast. Long series are
-processed in parts, so that memory does not grow with their length.
+Hz, which keeps the information in a trapezoid's ramps and makes a solve fast. A long recording is
+averaged further (`sample_averaging`), and long series are processed in parts, so that memory does
+not grow with their length.
 """
 
 from dataclasses import dataclass
@@ -16,6 +17,7 @@ from gyrorig_solver.data import BoolArray, FloatArray
 from gyrorig_solver.data.count_columns import CountArray
 from gyrorig_solver.data.samples import GyroSamples
 from gyrorig_solver.estimate.noise.noise_model import Sampling
+from gyrorig_solver.estimate.sample_averaging import average_samples, averaging_factor
 
 SERIES_RATE_HZ = 100.0  # approximate rate of the block means; more for a wide low-pass:
 SERIES_RATE_PER_BANDWIDTH = 2.4  # a speed jump shows the time offset up to the bandwidth
@@ -40,6 +42,12 @@ class Series:
     intervals_per_sample: int  # odd
     bandwidth_hz: float | None  # of the sensor's low-pass; None if unknown
     scale_rad_s: float = 1.0  # per unit of `raw`
+    has_means: bool = False  # each sample is a mean over its period, not an instant
+
+    @property
+    def filter_bandwidth_hz(self) -> float | None:
+        """The bandwidth of the low-pass on the samples' grid; None if it is no filter there."""
+        return None if self.has_means else self.bandwidth_hz
 
     @property
     def block_count(self) -> int:
@@ -181,10 +189,14 @@ def build_series(samples: GyroSamples, common_std_s: float = 0.0) -> tuple[list[
     """
     period_s = samples.period_s
     rate_hz = 1.0 / period_s
+    averaging = averaging_factor(samples.number.size, rate_hz, samples.bandwidth_hz)
     resolve_time_offset = common_std_s < MAX_SHARP_STD_S and samples.number.size < MAX_SHARP_SAMPLES
-    samples_per_block, intervals_per_sample = choose_grids(
-        rate_hz, samples.bandwidth_hz, resolve_time_offset
+    grids = (
+        choose_grids(rate_hz, samples.bandwidth_hz, resolve_time_offset)
+        if averaging == 1
+        else (1, 1)
     )
+    block_size = grids[0] * averaging
     number_step = np.diff(samples.number)
     is_break = (np.diff(samples.segment) != 0) | (number_step * period_s > MAX_GAP_S)
     bounds = np.concatenate([[0], np.flatnonzero(is_break) + 1, [samples.number.size]])
@@ -192,30 +204,31 @@ def build_series(samples: GyroSamples, common_std_s: float = 0.0) -> tuple[list[
     for begin, end in pairwise(bounds):
         inside = slice(int(begin), int(end))
         length = int(samples.number[end - 1] - samples.number[begin]) + 1
-        if length < MIN_SERIES_BLOCKS * samples_per_block:
+        if length < MIN_SERIES_BLOCKS * block_size:
             continue
         if length > max(MIN_GRID_SAMPLES, MAX_GRID_RATIO * int(end - begin)):
             raise _sparse_samples_error(length, int(end - begin))
-        time_s, raw, good = _fill_gaps(samples, inside, length)
-        series.append(
-            Series(
-                time_s,
-                raw,
-                good,
-                samples_per_block,
-                intervals_per_sample,
-                samples.bandwidth_hz,
-                samples.gyro.scale,
-            )
-        )
+        series.append(_uniform_series(samples, inside, length, grids, averaging))
     sampling = Sampling(
-        rate_hz=rate_hz / samples_per_block,
-        samples_per_block=samples_per_block,
+        rate_hz=rate_hz / block_size,
+        samples_per_block=block_size,
         bandwidth_hz=samples.bandwidth_hz,
         quantum_rad_s=samples.quantum_rad_s,
         differentiated=False,
     )
     return series, sampling
+
+
+def _uniform_series(
+    samples: GyroSamples, inside: slice, length: int, grids: tuple[int, int], averaging: int
+) -> Series:
+    """Return the series of a segment, with means instead of samples if `averaging` is not 1."""
+    time_s, raw, good = _fill_gaps(samples, inside, length)
+    scale = samples.gyro.scale
+    if averaging == 1:
+        return Series(time_s, raw, good, *grids, samples.bandwidth_hz, scale)
+    means = average_samples(time_s, raw, good, averaging)
+    return Series(*means, *grids, samples.bandwidth_hz, scale / averaging, has_means=True)
 
 
 def _fill_gaps(

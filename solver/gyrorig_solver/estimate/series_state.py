@@ -205,8 +205,9 @@ def _rig_impulse_mask(
 ) -> BoolArray:
     """Return which outliers an impulse of pan or tilt explains."""
     angles = getattr(values.reference, "angles_rad", None)
-    if angles is None or series.bandwidth_hz is None:
+    bandwidth_hz = series.filter_bandwidth_hz
+    if angles is None or bandwidth_hz is None:
         return np.zeros_like(outliers)
     time_s = series.time_s[samples] - values.lag_s
     axes = axis_motions(angles(time_s), values.gain)
-    return impulse_response_mask(residual, outliers, time_s, axes, series.bandwidth_hz, std)
+    return impulse_response_mask(residual, outliers, time_s, axes, bandwidth_hz, std)

@@ -62,7 +62,7 @@ class SignalStateCache:
             np.ones((blocks.stop - blocks.start) * instants, dtype=np.bool_),
             instants_per_block=instants,
             intervals_per_instant=intervals_per_instant,
-            bandwidth_hz=series.bandwidth_hz,
+            bandwidth_hz=series.filter_bandwidth_hz,
             gain=values.gain,
             bias_rad_s=values.bias_rad_s,
             rate_rad_s=values.reference.evaluate(edges, derivatives=False).rate_rad_s,

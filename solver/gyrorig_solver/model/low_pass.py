@@ -17,6 +17,7 @@ from gyrorig_solver.model.recursive_filters import (
 )
 
 NEGLIGIBLE_DECAY = 40.0  # exponent of a filter's remaining state: below rounding
+DELAY_COUNT, DELAY_PHASE = 8, 2.0 * np.pi  # of an impulse response, and its end
 MEAN_SHARPENING = (-0.125, 1.25, -0.125)  # corrects means for straight-line interpolation
 
 
@@ -111,3 +112,20 @@ def power_gain(frequency_hz: FloatArray, bandwidth_hz: float | None) -> FloatArr
     if bandwidth_hz is None:
         return np.ones_like(frequency_hz)
     return np.asarray(1.0 / (1.0 + (frequency_hz / bandwidth_hz) ** 4), dtype=np.float64)
+
+
+def delay_distribution(bandwidth_hz: float) -> tuple[FloatArray, FloatArray]:
+    """Return delays about their mean, (k,), and weights, which together act like a low-pass.
+
+    The weights are the impulse response of the second-order Butterworth at equal distances. Their
+    sum is one, and their mean delay is zero.
+    """
+    omega = 2.0 * np.pi * bandwidth_hz
+    phase = (np.arange(DELAY_COUNT) + 0.5) * (DELAY_PHASE / DELAY_COUNT)
+    weights = np.exp(-phase) * np.sin(phase)
+    weights /= weights.sum()
+    delays_s = np.sqrt(2.0) * phase / omega
+    return (
+        np.asarray(delays_s - weights @ delays_s, dtype=np.float64),
+        np.asarray(weights, dtype=np.float64),
+    )

@@ -17,6 +17,9 @@ class Site:
     gravity_m_s2: float = STANDARD_GRAVITY_M_S2
 
 
+MAX_MEAN_DURATION_S = 0.02  # longer means hide the shape of an edge
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class RecordingContext:
     """Facts that stay the same over a recording of one board."""
@@ -30,7 +33,13 @@ class RecordingContext:
     full_scale_rad_s: float | None = None  # of the configured range
     quantum_rad_s: float = 0.0  # one count
     sample_period_s: float | None = None
+    mean_duration_s: float = 0.0  # of means that replace the samples; 0: the samples themselves
     # Changes of the limits of pan and tilt by causes: acceleration share, base speed (rad/s).
     limit_changes: tuple[tuple[float, float], tuple[float, float]] = ((0.0, 0.0), (0.0, 0.0))
     recording_name: str = ""  # name
     recording_index: int = 0  # among the recordings that are fitted together
+
+    @property
+    def is_averaged(self) -> bool:
+        """Whether the fit uses means that hide what acts for milliseconds."""
+        return self.mean_duration_s > MAX_MEAN_DURATION_S

@@ -1,7 +1,7 @@
 """The interface of a physical cause: its card, its parameters and its effect on the rate.
 
 What to use when: derive a cause from one of the classes in `term_kinds`, not from `Term` directly.
-A fit uses `reason_not_testable`, `effect` and `jacobian`. The search also uses `template_bank` and
+A fit uses `why_not_testable`, `effect` and `jacobian`. The search also uses `template_bank` and
 `tangent_signals`. Reports use the card: title, remedy, picture and so on.
 """
 
@@ -59,6 +59,7 @@ FILTER_STAGES: tuple[Stage, ...] = ("low_pass", "clock")
 EDGE_COVARIATES = ("pan_transient", "tilt_transient", "move_gain", "move_delay")
 ANGLE_COVARIATES = ("pan_angle", "tilt_angle")
 RATE_COVARIATES = ("own_rate", "speed")
+BRIEF_COVARIATES = ("pan_transient", "tilt_transient", "move_gain")
 
 Quantity = Literal["mean", "gain", "lag"]
 # grid: some rows of the template bank first. full_grid: all rows. pulses, spectral_lines: rows
@@ -66,6 +67,10 @@ Quantity = Literal["mean", "gain", "lag"]
 TemplateSearch = Literal["grid", "full_grid", "pulses", "spectral_lines", "lag_series"]
 NO_ANGLES = (
     "the reference does not give the pose of the board at each moment; use a reference that does"
+)
+LONG_RECORDING = (
+    "the recording is long, so that the fit uses means over {:.2g} s; solve a shorter one to test "
+    "what acts for milliseconds"
 )
 DERIVATIVE_STEP = 1e-3  # of a parameter's typical size, for finite differences
 
@@ -238,8 +243,20 @@ class Term(ABC):
         """Whether only a pan-tilt unit can have this cause."""
         return self.part == "ptu"
 
-    def reason_not_testable(self, state: SignalState) -> str | None:
+    @property
+    def is_brief(self) -> bool:
+        """Whether it shows for milliseconds only: after edges of moves, as pulses or as a line."""
+        is_at_edges = any(name in BRIEF_COVARIATES for name in self.covariates or ())
+        return is_at_edges or self.template_search in ("pulses", "spectral_lines")
+
+    def why_not_testable(self, state: SignalState) -> str | None:
         """Return why this recording cannot show the cause, with the remedy; None if it can."""
+        if self.is_brief and state.context.is_averaged:
+            return LONG_RECORDING.format(state.context.mean_duration_s)
+        return self.reason_not_testable(state)
+
+    def reason_not_testable(self, state: SignalState) -> str | None:
+        """Return what samples at any rate lack to show the cause; None if nothing."""
         return NO_ANGLES if self.needs_angles and not state.has_angles else None
 
     def time_offset_ambiguity_s(self, values: FloatArray) -> float:

@@ -10,6 +10,7 @@ from gyrorig_protocol.recording.recording import Recording
 from gyrorig_solver.data.metadata_numbers import positive_number
 from gyrorig_solver.data.samples import GyroSamples
 from gyrorig_solver.data.samples import mean_temperature_degc as mean_of
+from gyrorig_solver.estimate import mean_duration_s
 from gyrorig_solver.model import STANDARD_GRAVITY_M_S2, BoardTemperature, RecordingContext, Site
 from gyrorig_solver.reference import PanTiltReference, ReferenceMotion
 
@@ -89,5 +90,6 @@ def _recording_context(
         full_scale_rad_s=None if full_scale_dps is None else float(np.radians(full_scale_dps)),
         quantum_rad_s=samples.quantum_rad_s,
         sample_period_s=samples.period_s,
+        mean_duration_s=mean_duration_s(samples),
         recording_name=recording.path.name,
     )

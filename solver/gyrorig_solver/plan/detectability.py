@@ -118,10 +118,10 @@ def predict_detectability(
     testable = [
         term
         for term in causes
-        if term.kind in ("effect", "known") and term.reason_not_testable(states[0]) is None
+        if term.kind in ("effect", "known") and term.why_not_testable(states[0]) is None
     ]
     missing = [
-        (term, term.reason_not_testable(states[0]))
+        (term, term.why_not_testable(states[0]))
         for term in causes
         if term.kind in ("effect", "known")
     ]

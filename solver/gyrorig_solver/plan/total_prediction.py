@@ -123,7 +123,7 @@ def _prior_causes(
     for name, prior in settings.prior_sizes.items():
         term = catalogue()[name]
         is_possible = term.kind == "gauge" or (
-            term.kind == "effect" and all(term.reason_not_testable(s) is None for s in states)
+            term.kind == "effect" and all(term.why_not_testable(s) is None for s in states)
         )
         templates = (
             prior_templates(term, states, prior)

@@ -20,7 +20,7 @@ from functools import partial
 import numpy as np
 
 from gyrorig_solver.data import FloatArray
-from gyrorig_solver.discover.testable_terms import testable_instances
+from gyrorig_solver.discover.testable_terms import acting_instances
 from gyrorig_solver.estimate import FittedTerm, NuisanceProjector, WhitenedSignals, join_signals
 from gyrorig_solver.model import (
     SignalState,
@@ -114,10 +114,13 @@ def _scaled_effects(cause: UnidentifiedCause, state: SignalState) -> FloatArray:
 
 
 def _instances(term: Term, projector: NuisanceProjector) -> list[Term]:
-    """Return a cause once per recording that can have it; a gauge cause acts, but never shows."""
+    """Return a cause once per recording that can have it.
+
+    A gauge cause acts, but never shows. A brief cause acts, but means of a long recording hide it.
+    """
     if term.kind == "gauge":
         return [term] if all(state.has_angles for state in projector.states) else []
-    return testable_instances(term, projector)
+    return acting_instances(term, projector)
 
 
 def scaled_tangents(cause: UnidentifiedCause, row: FloatArray, state: SignalState) -> FloatArray:

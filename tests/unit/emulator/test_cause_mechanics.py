@@ -105,6 +105,13 @@ def test_a_gap_forgets_what_a_command_has_changed() -> None:
     assert (axis.angles_rad(0.0, 1e-3, 4000) == again.angles_rad(0.0, 1e-3, 4000)).all()
 
 
+def test_nothing_rings_behind_a_gap_before_the_first_command() -> None:
+    """A board asks for its motion from before the power-up of the unit."""
+    effects = (Ringing(0.1, 8.0, 0.05),)
+    truth = AxisTruth(ARCSEC, step_effects=(Backlash(3.0),), angle_effects=effects)
+    assert (driven(truth).angles_rad(-1.0, 1e-3, 1000) == 0.0).all()
+
+
 def test_an_s_curve_is_the_mean_of_the_plan_and_the_count_goes_with_it() -> None:
     window_s = 0.08
     axis = driven(AxisTruth(ARCSEC, s_curve_s=window_s))

@@ -226,7 +226,8 @@ class StepperAxis:
         for effect in self.truth.step_effects:
             standing_s = effect.standing_s(self, segments[0][0].start_s, until_s)
             segments = _with_rests(segments, standing_s)
-        return [(segment, before) for segment, before in segments if segment.start_s <= until_s]
+        begun = [(segment, before) for segment, before in segments if segment.start_s <= until_s]
+        return begun or segments[:1]
 
     def _shift_by(self, time_s: float, steps: float) -> None:
         index = bisect_right(self._shift_starts, time_s)

@@ -135,7 +135,7 @@ def extend_attitudes(
         if cause in (fitted_term.term.cause for fitted_term in added):
             continue
         term = space.terms[cause]
-        reasons = [term.reason_not_testable(state) for state in states]
+        reasons = [term.why_not_testable(state) for state in states]
         if all(reason is not None for reason in reasons):
             remarks.append(f"the cause {cause} was not fitted: {reasons[0]}")
             continue

@@ -10,6 +10,8 @@ from gyrorig_solver.discover.ramp_acceleration import detect_ramp_error
 from gyrorig_solver.discover.testable_terms import FALSE_ALARM_RATE
 from gyrorig_solver.model import term_of_law
 
+RAMP_CAUSES = ("acceleration_error", "base_speed_jump", "s_curve")
+
 
 class RampCheck:
     """Names an error of the ramps, or states the size that would have been detected."""
@@ -31,4 +33,8 @@ class RampCheck:
         if named.cause != acceleration:
             values = tuple(replace(value, std=np.inf) for value in named.values)
             named = replace(named, values=values)
+        if any(state.context.is_averaged for state in model.result.projector.states):
+            # The replies alone do not distinguish these; the rates would.
+            others = tuple(cause for cause in RAMP_CAUSES if cause != named.cause)
+            named = replace(named, one_of=others)
         return Verdict(named=(named,), covered_causes=frozenset({acceleration, named.cause}))

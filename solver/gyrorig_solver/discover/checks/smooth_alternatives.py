@@ -15,7 +15,11 @@ from functools import partial
 import numpy as np
 
 from gyrorig_solver.data import FloatArray
-from gyrorig_solver.discover.checks.windowed_signals import WindowFunction, windowed_statistics
+from gyrorig_solver.discover.checks.windowed_signals import (
+    WindowFunction,
+    group_windows,
+    windowed_statistics,
+)
 from gyrorig_solver.estimate import (
     FittedTerm,
     NuisanceProjector,
@@ -302,7 +306,7 @@ def _move_families(scenes: Sequence[SignalState]) -> Iterator[BasisFamily]:
                 (partial(_edge_transients, axis, begin, end),),
                 np.tile(_wave_numbers(EDGE_WAVES), 3),
             )
-    spans = np.array([(float(c.start_s[0]), float(c.end_s)) for _, c in courses])
+    spans = group_windows(np.array([(float(c.start_s[0]), float(c.end_s)) for _, c in courses]))
     for delay, name in ((False, "gain"), (True, "delay")):
         # So many that only a few are there unwhitened at a time.
         each = tuple(

@@ -20,6 +20,7 @@ from gyrorig_solver.estimate import NuisanceProjector, ScoreStatistics
 from gyrorig_solver.model import SignalState
 
 MARGIN_S = 4.0  # before and after a window
+MAX_WINDOWS = 512  # of a long recording: memory grows with the square of their number
 
 # From the windows of a row, (w, 2) in s, and a state to the sum of their signals, (1, blocks, 3).
 WindowFunction = Callable[[FloatArray, SignalState], FloatArray]
@@ -61,6 +62,16 @@ def windowed_statistics(
         np.concatenate(columns or [np.zeros(0, np.int64)]),
     )
     return projection.sparse_statistics(csr_array((*data, pointer), shape=shape))
+
+
+def group_windows(windows_s: FloatArray) -> FloatArray:
+    """Return the windows of groups of consecutive ones, (k, 2); each of them, if they are few."""
+    size = -(-len(windows_s) // MAX_WINDOWS)
+    if size <= 1:
+        return windows_s
+    windows_s = windows_s[np.argsort(windows_s[:, 0], kind="stable")]
+    first = np.arange(0, len(windows_s), size)
+    return np.column_stack([windows_s[first, 0], np.maximum.reduceat(windows_s[:, 1], first)])
 
 
 def _assign_rows(windows_s: FloatArray) -> IntArray:

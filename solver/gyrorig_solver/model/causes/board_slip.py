@@ -41,6 +41,11 @@ class BoardSlip(NonlinearTerm):
     excitation = "the first poses and sweeps, repeated at the end of the recording"
     effect_if_ignored = "the misalignment M is a mean of two mount angles"
 
+    @property
+    def is_brief(self) -> bool:
+        """Return True: only the pulse of a lost step of tilt distinguishes the two."""
+        return True
+
     def effect(self, state: SignalState, values: FloatArray) -> FloatArray:
         """Return the change of the measured rate, (blocks, 3)."""
         rotation_change = state.rate_rad_s @ rotation_matrix(values[:3]) - state.rate_rad_s

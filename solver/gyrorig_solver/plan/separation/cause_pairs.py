@@ -210,7 +210,7 @@ def fitted_pairs(
         term = catalogue().get(cause)
         if term is None or term.kind != "effect" or _is_equivalent(term, members):
             continue
-        if any(term.reason_not_testable(state) is not None for state in projector.states):
+        if any(term.why_not_testable(state) is not None for state in projector.states):
             continue
         fitted = _fit_rival(projector, term)
         if fitted is not None:
@@ -227,7 +227,7 @@ def unseen_cause(solution: ConvergedFit, cause: str) -> CausePair | None:
     """
     term = catalogue()[cause]
     projector = NuisanceProjector.of_effect(solution, None, None, solution.noises)
-    reasons = [term.reason_not_testable(state) for state in projector.states]
+    reasons = [term.why_not_testable(state) for state in projector.states]
     is_fitted = any(fitted.term.cause == cause for fitted in solution.fitted_terms)
     if term.kind != "effect" or any(reasons) or is_fitted or value_indices(term, role="event"):
         return None
