@@ -18,6 +18,7 @@ from gyrorig_solver.data.samples import GyroSamples
 
 MAX_SERIES_SAMPLES = 500_000  # 10 min at 800 Hz, 83 min at 100 Hz
 AVERAGED_SAMPLES = 100_000  # after averaging, at most
+MAX_FILLED_SAMPLES = 3  # in a row
 
 
 def averaging_factor(sample_count: int, rate_hz: float, bandwidth_hz: float | None) -> int:
@@ -40,10 +41,13 @@ def average_samples(
 ) -> tuple[FloatArray, FloatArray, BoolArray]:
     """Return times, sums of the raw rates and validity of the means.
 
+    A few invalid samples in a row are interpolated: without them, many means would be missing, and
+    the gaps would hide the slow noise. A mean with more of them is invalid.
+
     Args:
         time_s: of every sample number, (n,).
         raw: counts or rates, (n, 3).
-        good: which samples are valid, (n,). A mean with an invalid sample is invalid.
+        good: which samples are valid, (n,).
         factor: samples per mean.
 
     Returns:
@@ -51,8 +55,27 @@ def average_samples(
     """
     count = time_s.size // factor
     n = count * factor
+    raw, good = _fill_short_gaps(raw[:n], good[:n])
     return (
         np.asarray(time_s[:n].reshape(count, factor).mean(axis=1), dtype=np.float64),
-        np.asarray(raw[:n].reshape(count, factor, 3).sum(axis=1, dtype=np.float64)),
-        np.asarray(good[:n].reshape(count, factor).all(axis=1), dtype=np.bool_),
+        np.asarray(raw.reshape(count, factor, 3).sum(axis=1, dtype=np.float64)),
+        np.asarray(good.reshape(count, factor).all(axis=1), dtype=np.bool_),
     )
+
+
+def _fill_short_gaps(raw: CountArray, good: BoolArray) -> tuple[CountArray, BoolArray]:
+    """Return samples with short gaps interpolated, and which are valid now."""
+    if good.all() or not good.any():
+        return raw, good
+    edges = np.flatnonzero(np.diff(np.concatenate([[True], good, [True]]).astype(np.int8)))
+    begin, end = edges[::2], edges[1::2]  # of each gap
+    is_short = (end - begin <= MAX_FILLED_SAMPLES) & (begin > 0) & (end < good.size)
+    filled_good = good.copy()
+    for first, last in zip(begin[is_short], end[is_short], strict=True):
+        filled_good[first:last] = True
+    positions = np.flatnonzero(filled_good & ~good)
+    filled = raw.astype(np.float64)
+    good_positions = np.flatnonzero(good)
+    for axis in range(3):
+        filled[positions, axis] = np.interp(positions, good_positions, raw[good, axis])
+    return filled, filled_good

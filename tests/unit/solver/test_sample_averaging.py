@@ -33,14 +33,23 @@ def test_few_means_remain(count: int) -> None:
     assert count / averaging_factor(count, 800.0, 110.0) <= sample_averaging.AVERAGED_SAMPLES
 
 
-def test_means_are_of_whole_groups_and_valid_samples() -> None:
-    good = np.ones(11, np.bool_)
-    good[4] = False
+def test_means_are_of_whole_groups() -> None:
     raw = np.arange(33, dtype=np.int16).reshape(11, 3)
-    time_s, total, valid = average_samples(np.arange(11.0), raw, good, 3)
+    time_s, total, valid = average_samples(np.arange(11.0), raw, np.ones(11, np.bool_), 3)
     np.testing.assert_array_equal(time_s, [1.0, 4.0, 7.0])
     np.testing.assert_array_equal(total, raw[:9].reshape(3, 3, 3).sum(axis=1))
-    np.testing.assert_array_equal(valid, [True, False, True])
+    assert valid.all()
+
+
+def test_a_few_missing_samples_are_interpolated_and_many_are_not() -> None:
+    raw = np.arange(90, dtype=np.int16).reshape(30, 3)
+    good = np.ones(30, np.bool_)
+    good[[4, 5, 12, 13, 14, 15, 29]] = False
+    broken = np.where(good[:, None], raw, 30_000)
+    _, total, valid = average_samples(np.arange(30.0), broken, good, 10)
+    np.testing.assert_array_equal(valid, [True, False, False])
+    np.testing.assert_array_equal(total[0], raw[:10].sum(axis=0))
+    assert not average_samples(np.arange(30.0), broken, np.zeros(30, np.bool_), 10)[2].any()
 
 
 def test_a_sum_of_large_counts_does_not_overflow() -> None:
