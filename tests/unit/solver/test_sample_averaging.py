@@ -11,9 +11,11 @@ from tests.support.board_fits import explain_recordings
 from gyrorig_protocol.recording.reader import read_recording
 from gyrorig_protocol.recording.recording import Recording
 from gyrorig_solver.discover import FitExplanation
+from gyrorig_solver.discover.checks.ramp_check import RAMP_STAGES
 from gyrorig_solver.discover.checks.windowed_signals import group_windows
 from gyrorig_solver.estimate import sample_averaging
 from gyrorig_solver.estimate.sample_averaging import average_samples, averaging_factor
+from gyrorig_solver.model.catalogue import catalogue
 from gyrorig_solver.model.low_pass import delay_distribution
 
 BOARD = "LONG-1"
@@ -128,3 +130,9 @@ def test_few_windows_stay_single_and_many_form_groups() -> None:
     groups = group_windows(spans_s[::-1])
     assert len(groups) == 500
     np.testing.assert_array_equal(groups[0], [0.0, 1.5])
+
+
+def test_the_causes_of_a_ramp_are_those_of_the_speed_profile() -> None:
+    """In a long recording, the replies show that the ramps differ, and nothing shows how."""
+    ramp_causes = {term.cause for term in catalogue().values() if term.stage in RAMP_STAGES}
+    assert ramp_causes == {"acceleration_error", "base_speed_jump", "s_curve"}

@@ -8,9 +8,10 @@ from gyrorig_solver.discover.checks.model_check import JudgedModel, Verdict
 from gyrorig_solver.discover.motion_space import MotionFitSpace
 from gyrorig_solver.discover.ramp_acceleration import detect_ramp_error
 from gyrorig_solver.discover.testable_terms import FALSE_ALARM_RATE
-from gyrorig_solver.model import term_of_law
+from gyrorig_solver.model import Stage, term_of_law
+from gyrorig_solver.model.catalogue import catalogue
 
-RAMP_CAUSES = ("acceleration_error", "base_speed_jump", "s_curve")
+RAMP_STAGES: tuple[Stage, ...] = ("profile", "motor")
 
 
 class RampCheck:
@@ -35,6 +36,7 @@ class RampCheck:
             named = replace(named, values=values)
         if any(state.context.is_averaged for state in model.result.projector.states):
             # The replies alone do not distinguish these; the rates would.
-            others = tuple(cause for cause in RAMP_CAUSES if cause != named.cause)
+            ramp_causes = [term.cause for term in catalogue().values() if term.stage in RAMP_STAGES]
+            others = tuple(cause for cause in ramp_causes if cause != named.cause)
             named = replace(named, one_of=others)
         return Verdict(named=(named,), covered_causes=frozenset({acceleration, named.cause}))
