@@ -31,7 +31,6 @@ from gyrorig_solver.estimate.uncertainty_widening import reduced_chi2, widen_unc
 from gyrorig_solver.model import RecordingContext
 from gyrorig_solver.reference import DETENT_VARIANCE, PanTiltReference, ReferenceMotion
 
-MAX_BLOCKS_WITH_ANGLES = 1 << 20  # 3 h; more would need too much memory for plots
 # Whitened variance in motion over that at rest: above this limit the model is called inadequate.
 MAX_REDUCED_CHI2 = 1.25
 HELD_OUT_WINDOW_S = 10.0
@@ -369,8 +368,6 @@ def _diagnostics(solution: ConvergedFit) -> FitDiagnostics:
     white = np.concatenate(solution.whitened_residuals()[-len(session.series) :])
     time_s = np.concatenate([s.block_times_s() for s in session.series])
     angles = getattr(session.reference, "angles_rad", None)  # rests and attitudes have none
-    if time_s.size > MAX_BLOCKS_WITH_ANGLES:
-        angles = None
     return FitDiagnostics(
         time_s=time_s,
         rate_rad_s=np.where(used, np.concatenate(session.measured), np.nan),

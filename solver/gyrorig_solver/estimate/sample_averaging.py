@@ -17,7 +17,7 @@ from gyrorig_solver.data.count_columns import CountArray
 from gyrorig_solver.data.samples import GyroSamples
 
 MAX_SERIES_SAMPLES = 500_000  # 10 min at 800 Hz, 83 min at 100 Hz
-AVERAGED_SAMPLES = 100_000  # after averaging, at most
+MAX_MEANS = 100_000
 MAX_FILLED_SAMPLES = 3  # in a row
 
 
@@ -26,7 +26,7 @@ def averaging_factor(sample_count: int, rate_hz: float, bandwidth_hz: float | No
     if sample_count <= MAX_SERIES_SAMPLES:
         return 1
     least = 1 if bandwidth_hz is None else math.ceil(rate_hz / bandwidth_hz)
-    return max(least, math.ceil(sample_count / AVERAGED_SAMPLES))
+    return max(least, math.ceil(sample_count / MAX_MEANS))
 
 
 def mean_duration_s(samples: GyroSamples) -> float:

@@ -24,7 +24,6 @@ SERIES_RATE_PER_BANDWIDTH = 2.4  # a speed jump shows the time offset up to the 
 MIN_FINE_GRID_HZ = 500.0  # minimum rate of the fine grid; also five times the bandwidth
 MAX_GAP_S = 2.0  # a longer gap starts a new series
 MAX_SHARP_STD_S = 5e-5  # with a larger common shift a finer series adds nothing
-MAX_SHARP_SAMPLES = 4_000_000  # above it the offset is accurate enough, and memory is limited
 MIN_GRID_SAMPLES = 1_000_000  # a grid of this length costs 40 MB
 MAX_GRID_RATIO = 4  # of the grid's length to the samples in it
 MIN_SERIES_BLOCKS = 64  # fewer give no useful spectrum
@@ -190,9 +189,8 @@ def build_series(samples: GyroSamples, common_std_s: float = 0.0) -> tuple[list[
     period_s = samples.period_s
     rate_hz = 1.0 / period_s
     averaging = averaging_factor(samples.number.size, rate_hz, samples.bandwidth_hz)
-    resolve_time_offset = common_std_s < MAX_SHARP_STD_S and samples.number.size < MAX_SHARP_SAMPLES
     grids = (
-        choose_grids(rate_hz, samples.bandwidth_hz, resolve_time_offset)
+        choose_grids(rate_hz, samples.bandwidth_hz, common_std_s < MAX_SHARP_STD_S)
         if averaging == 1
         else (1, 1)
     )

@@ -27,7 +27,7 @@ MEMORY_PER_INPUT_BYTE = 20
 # Of a fit, in addition. A search that ends with eight causes takes 17 kB for each message of a
 # recording of 130 s at 100 Hz; a fit without causes takes 6 to 10 kB.
 FIT_MEMORY_PER_MESSAGE_BYTES = 30_000
-MAX_FIT_MEMORY_BYTES = 8000 * MB  # long recordings are fitted in parts
+MAX_FIT_MEMORY_BYTES = 8000 * MB  # long recordings are fitted as means
 BASE_TIME_S = 30.0  # of the processor
 TIME_PER_BYTE_S = 30.0 / (10 * MB)
 MEMORY_VARIABLE = "GYRORIG_MEMORY_MB"  # a larger limit, for a file that a person trusts

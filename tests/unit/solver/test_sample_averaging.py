@@ -17,6 +17,7 @@ from gyrorig_solver.estimate import sample_averaging
 from gyrorig_solver.estimate.sample_averaging import average_samples, averaging_factor
 from gyrorig_solver.model.catalogue import catalogue
 from gyrorig_solver.model.low_pass import delay_distribution
+from gyrorig_solver.uncertainty import assess_uncertainty
 
 BOARD = "LONG-1"
 
@@ -32,7 +33,7 @@ def test_a_mean_lasts_a_period_of_the_bandwidth() -> None:
 
 @pytest.mark.parametrize("count", [500_001, 2_880_000, 23_040_000])
 def test_few_means_remain(count: int) -> None:
-    assert count / averaging_factor(count, 800.0, 110.0) <= sample_averaging.AVERAGED_SAMPLES
+    assert count / averaging_factor(count, 800.0, 110.0) <= sample_averaging.MAX_MEANS
 
 
 def test_means_are_of_whole_groups() -> None:
@@ -97,7 +98,7 @@ def explanations(recording: Recording) -> tuple[FitExplanation, FitExplanation]:
     exact = explain_recordings([recording], BOARD)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(sample_averaging, "MAX_SERIES_SAMPLES", 10_000)
-        patch.setattr(sample_averaging, "AVERAGED_SAMPLES", 1_500)
+        patch.setattr(sample_averaging, "MAX_MEANS", 1_500)
         return exact, explain_recordings([recording], BOARD)
 
 
@@ -122,6 +123,17 @@ def test_means_do_not_show_what_acts_for_milliseconds(
         assert "means over" in reasons[cause]
     assert "clock_skew" not in reasons
     assert averaged.verdict == "adequate"
+
+
+def test_the_total_uncertainty_contains_what_the_means_hide(
+    explanations: tuple[FitExplanation, FitExplanation],
+) -> None:
+    exact, averaged = (
+        assess_uncertainty(explanation.solution_extended) for explanation in explanations
+    )
+    hidden = {"backlash", "base_compliance", "base_speed_jump", "ringing", "board_slip"}
+    assert hidden <= {entry.cause for entry in averaged.entries}
+    np.testing.assert_allclose(averaged.std[:12] / exact.std[:12], 1.0, atol=0.1)
 
 
 def test_few_windows_stay_single_and_many_form_groups() -> None:
