@@ -266,7 +266,7 @@ class CalibrationDocument(_DocumentPart, frozen=True, kw_only=True, omit_default
     trust: Trust
     validity: Validity
     temperature: TemperatureRecord | None = None  # bias and scale against temperature
-    uncertainty: UncertaintyRecord | None = None  # of a fit to a pan-tilt unit
+    uncertainty: UncertaintyRecord | None = None  # None: of a fit without type B uncertainty
     unit_prior: UnitPriorRecord | None = None  # None: the prior sizes of the table
     findings: FindingsReference | None = None
 
