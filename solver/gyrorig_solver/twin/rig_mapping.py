@@ -51,15 +51,17 @@ def build_rig_mapping(recording: Recording, twin: Twin) -> dict[str, Any]:
     """Return the rig file without the section `twin`, for `dump_yaml`."""
     rig = recorded_rig(recording)
     entries = _entries(rig, "boards")
+    fastest = max(twin.boards.values(), key=_odr_hz)
+    nominal_hz = _nominal_odr_hz(fastest)
     boards = [
-        _board(entries.get(name, {}), name, board, recording) for name, board in twin.boards.items()
+        _board(entries.get(name, {}), name, max(_odr_hz(board), nominal_hz), recording)
+        for name, board in twin.boards.items()
     ]
     buses = [
         {**bus, "port": EMULATED}
         for name, bus in _entries(rig, "buses").items()
         if any(board.get("bus") == name for board in boards)
     ]
-    fastest = max(twin.boards.values(), key=_odr_hz)
     mapping: dict[str, Any] = {
         "schema": SCHEMA,
         "rig": rig.get("rig") if isinstance(rig.get("rig"), str) else "twin",
@@ -83,8 +85,9 @@ def _entries(rig: Mapping[str, Any], key: str) -> dict[str, dict[str, Any]]:
 
 
 def _board(
-    entry: Mapping[str, Any], name: str, board: TwinBoard, recording: Recording
+    entry: Mapping[str, Any], name: str, odr_hz: float, recording: Recording
 ) -> dict[str, Any]:
+    """Return the entry of a board, with a line that is fast enough for its samples."""
     if entry.get("bus"):
         return _with_dbc_text(entry, recording)
     values = {**(entry or {"id": name}), "port": EMULATED}
@@ -94,7 +97,7 @@ def _board(
         values = {"id": name, "port": EMULATED}
         protocol = find_protocol("gcb1")
     if isinstance(protocol, SerialProtocol):
-        needed = protocol.sample_bytes * BITS_PER_BYTE * LINE_MARGIN * _odr_hz(board)
+        needed = protocol.sample_bytes * BITS_PER_BYTE * LINE_MARGIN * odr_hz
         baud = values.get("baud", 115200)
         if not isinstance(baud, int) or baud < needed:
             values["baud"] = next((b for b in BAUDS if b >= needed), BAUDS[-1])
@@ -113,6 +116,12 @@ def _with_dbc_text(entry: Mapping[str, Any], recording: Recording) -> dict[str, 
 
 def _odr_hz(board: TwinBoard) -> float:
     return 100.0 if board.odr is None else board.odr.value
+
+
+def _nominal_odr_hz(board: TwinBoard) -> int:
+    """Return the rate of the emulated sensor that is nearest to that of a board."""
+    odr_hz = _odr_hz(board)
+    return min(NOMINAL_ODRS_HZ, key=lambda choice: abs(math.log(choice / odr_hz)))
 
 
 def _unit(rig: Mapping[str, Any]) -> dict[str, Any]:
@@ -141,11 +150,10 @@ def _emulator(
     given = rig.get("emulator")
     dialect = given.get("dialect") if isinstance(given, dict) else None
     stated = recording.metadata.get("gyrorig.ptu", {}).get("dialect")
-    odr_hz = _odr_hz(board)
     emulator: dict[str, Any] = {
         "seed": 1,
         "dialect": next((d for d in (dialect, stated) if d in DIALECTS), "e46"),
-        "odr_hz": min(NOMINAL_ODRS_HZ, key=lambda choice: abs(math.log(choice / odr_hz))),
+        "odr_hz": _nominal_odr_hz(board),
     }
     unit = twin.unit
     if unit is not None and unit.answer_time is not None:

@@ -3,7 +3,8 @@
 A comparison is only fair if both sides pass the same program: the same clock mapping, the same
 start times from the position replies, the same block means.
 
-What to use when: `ObservedSession.of` for a recording; `AXES` for the order of pan and tilt.
+What to use when: `ObservedSession.of` for a recording; `check_has_unit` before a simulation;
+`AXES` for the order of pan and tilt.
 """
 
 from dataclasses import dataclass
@@ -54,12 +55,7 @@ class ObservedSession:
             InputError: the recording has no pan-tilt unit, too few samples, or positions that
                 the orders do not explain.
         """
-        if not recording.ptu_positions().size:
-            raise InputError(
-                f"the recording {recording.path.name} has no pan-tilt unit, so no simulation can "
-                "replay its orders",
-                "check a recording of a pan-tilt unit",
-            )
+        check_has_unit(recording)
         samples = load_samples(recording, board)
         reference = read_pan_tilt_reference(recording, samples.origin_ns)
         if not isinstance(reference, PanTiltReference):
@@ -134,6 +130,20 @@ class ObservedSession:
     def sample_numbers(self) -> IntArray:
         """Return the board's own numbers of the samples, shape (m,)."""
         return np.asarray(self.first_sequence + self.samples.number.astype(np.int64))
+
+
+def check_has_unit(recording: Recording) -> None:
+    """Check that a simulation can replay the orders of a recording.
+
+    Raises:
+        InputError: the recording has no pan-tilt unit.
+    """
+    if not recording.ptu_positions().size:
+        raise InputError(
+            f"the recording {recording.path.name} has no pan-tilt unit, so no simulation can "
+            "replay its orders",
+            "check a recording of a pan-tilt unit",
+        )
 
 
 def _read_moves(unit_motion: PanTiltReference) -> tuple[AxisMoves, AxisMoves]:

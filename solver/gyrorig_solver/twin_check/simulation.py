@@ -153,7 +153,10 @@ def _run_part(
         timer.start()
         try:
             for line in process.stdout or ():
-                recordings.append(Path(json.loads(line)["recording"]))
+                document = json.loads(line)
+                if "recording" not in document:  # an error, which the exit status reports
+                    continue
+                recordings.append(Path(document["recording"]))
                 with lock:
                     on_run()
             code = process.wait()

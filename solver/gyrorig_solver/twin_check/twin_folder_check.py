@@ -14,6 +14,7 @@ from gyrorig_protocol.documents import dump_yaml, parse_yaml
 from gyrorig_protocol.errors import GyrorigError, UsageError
 from gyrorig_protocol.recording.recording import Recording
 from gyrorig_protocol.twin import Twin, parse_twin
+from gyrorig_solver.twin_check.observed_session import check_has_unit
 from gyrorig_solver.twin_check.recording_check import BoardCheck, check_board
 from gyrorig_solver.twin_check.simulation import Simulator, run_draws
 
@@ -87,6 +88,7 @@ def check_twin_folder(
         ]
         for number, recording in enumerate(recordings):
             try:
+                check_has_unit(recording)
                 boards = _boards(twin, recording, board)
                 runs = [
                     list(

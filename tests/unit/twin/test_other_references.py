@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
+from tests.support import reference_recordings
 from tests.support.reference_recordings import (
     BOARD,
     SimulatedGyro,
@@ -43,6 +44,28 @@ def test_attitudes_determine_the_whole_board(tmp_path: Path) -> None:
     assert np.abs((np.array(board.gain.value) - gyro.gain) / std).max() < 4.0
     assert twin.posterior is not None
     assert f"boards.{BOARD}.gain.0.0" in twin.posterior.names
+
+
+def test_a_check_without_a_unit_is_refused(tmp_path: Path) -> None:
+    recording = record_attitudes(tmp_path / "r.mcap", SimulatedGyro())
+    _twin(recording, tmp_path / "t")
+    process = run_gyrorig("twin-check", recording, tmp_path / "t")
+    assert process.returncode == 3
+    assert process.stderr == (
+        "gyrorig: the recording r.mcap has no pan-tilt unit, so no simulation can replay its "
+        "orders. Check a recording of a pan-tilt unit.\n"
+    )
+
+
+def test_the_line_of_the_twin_is_fast_enough_for_the_emulated_rate(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The emulated sensor has 400 Hz where the board has 286 Hz: `_twin` reads the rig file."""
+    monkeypatch.setattr(reference_recordings, "GYRO_HZ", 286)
+    recording = record_attitudes(tmp_path / "r.mcap", SimulatedGyro())
+    _twin(recording, tmp_path / "t")
+    rig = yaml.safe_load((tmp_path / "t" / "twin.yaml").read_text("utf-8"))
+    assert rig["emulator"]["odr_hz"] == 400
 
 
 @pytest.mark.parametrize("record", [record_turns, record_gravity])

@@ -1,8 +1,19 @@
 """The draws of a simulation as parts of one process each."""
 
-import pytest
+from pathlib import Path
 
-from gyrorig_solver.twin_check.simulation import split_draws
+import pytest
+from tests.support.reference_recordings import SimulatedGyro, record_attitudes
+
+from gyrorig_protocol.recording.reader import read_recording
+from gyrorig_solver.twin_check.simulation import (
+    SimulationFailedError,
+    Simulator,
+    run_draws,
+    split_draws,
+)
+
+RIG = Path(__file__).resolve().parents[3] / "config" / "rig.yaml"
 
 
 @pytest.mark.parametrize(
@@ -17,3 +28,11 @@ from gyrorig_solver.twin_check.simulation import split_draws
 def test_draw_0_of_a_twin_is_alone(draws: range, is_twin: bool, parts: list[range]) -> None:
     """`gyrorigd record --sessions` counts up from each draw except 0."""
     assert split_draws(draws, 2, is_twin) == parts
+
+
+def test_a_simulation_that_fails_states_the_reason_of_the_daemon(tmp_path: Path) -> None:
+    measured = read_recording(record_attitudes(tmp_path / "r.mcap", SimulatedGyro()))
+    simulator = Simulator("before", RIG, is_twin=False)
+    with pytest.raises(SimulationFailedError, match="no unit moves in it") as caught:
+        list(run_draws(simulator, measured, range(1), tmp_path, lambda: None))
+    assert caught.value.exit_code == 3
