@@ -1,9 +1,9 @@
-"""How near the estimator comes to the bound, and whether what it claims of itself is true.
+"""Compare the estimator with the Cramer-Rao bound, and its stated uncertainties with its errors.
 
-Simulated runs of the shipped programs: board, noise, unit, start delays, and where in an
-exchange a count is taken are drawn anew in each. Cases whose names begin alike have the
-same boards. Goals are in `accuracy/goals.py`; docs/accuracy/write.py makes a page of what
-this writes.
+The bench simulates runs of the shipped programs. Each run has a new random board, noise, unit,
+start delays, and moments in an exchange at which the unit reads a count. Cases whose names begin
+with the same words have the same boards. `accuracy/goals.py` contains the goals.
+docs/accuracy/write.py writes a page from the results.
 
 Run: python tests/bench/bench_accuracy.py [--runs 200 | --quick] [--case WORDS] [--out FILE]
 """
@@ -25,16 +25,16 @@ from tests.bench.accuracy.goals import CASES  # noqa: E402
 from tests.bench.accuracy.summary import judged, outlier_cost, summarise  # noqa: E402
 from tests.bench.accuracy.trial import Case, run  # noqa: E402
 
-from gyrorig_protocol.errors import GyrorigError  # noqa: E402 - the line above makes threads few
+from gyrorig_protocol.errors import GyrorigError  # noqa: E402 - first limit the threads
 
 Rows = list[dict[str, Any]]
 RESULTS = ROOT / "docs" / "accuracy" / "results.json"
 PROCESSES, LEAST_RUNS, QUICK_RUNS, ALL_RUNS = 2, 8, 20, 200
-DRAWN_TOGETHER, TOLD_EVERY = 4, 20
+CHUNK_SIZE, REPORT_INTERVAL = 4, 20  # runs
 
 
 def run_job(job: tuple[Case, int]) -> dict[str, Any]:
-    """Return one run, or why there is none: a refusal is a figure, too."""
+    """Return the result of one run, or the error if the solver refuses it."""
     case, seed = job
     try:
         return run(case, seed)
@@ -42,52 +42,52 @@ def run_job(job: tuple[Case, int]) -> dict[str, Any]:
         return {"seed": seed, "failed": str(error)}
 
 
-def collect(case: Case, runs: int, earlier_rows: Rows, pool: ProcessPoolExecutor) -> Rows:
-    """Return the runs of a case, those that are kept and others; progress goes to stderr."""
-    begun = time.monotonic()
+def collect_runs(case: Case, runs: int, earlier_rows: Rows, pool: ProcessPoolExecutor) -> Rows:
+    """Return earlier and new runs of a case, and print the progress to stderr."""
+    start_s = time.monotonic()
     rows = earlier_rows[:runs]
     jobs = [(case, seed) for seed in range(len(rows), runs)]
-    for row in pool.map(run_job, jobs, chunksize=DRAWN_TOGETHER):
+    for row in pool.map(run_job, jobs, chunksize=CHUNK_SIZE):
         rows.append(row)
-        if len(rows) % TOLD_EVERY == 0 or len(rows) == runs:
-            took_s = time.monotonic() - begun
+        if len(rows) % REPORT_INTERVAL == 0 or len(rows) == runs:
+            took_s = time.monotonic() - start_s
             print(f"{case.name}: {len(rows)} of {runs}, {took_s:.0f} s", file=sys.stderr)  # noqa: T201
     return rows
 
 
-def earlier_runs(path: Path | None) -> dict[str, Rows]:
-    """Return the runs of an earlier call, so that more can be added."""
+def read_earlier_runs(path: Path | None) -> dict[str, Rows]:
+    """Return the runs of an earlier call, to which this call adds runs."""
     if path is None or not path.exists():
         return {}
     rows: dict[str, Rows] = json.loads(path.read_text(encoding="utf-8"))
     return rows
 
 
-def written(path: Path | None, content: object, indent: int | None = None) -> None:
-    """Write a file where one is wanted."""
+def write_json(path: Path | None, content: object, indent: int | None = None) -> None:
+    """Write a file if a path is given."""
     if path is not None:
         path.write_text(json.dumps(content, indent=indent) + "\n", encoding="utf-8")
 
 
 def main() -> int:
-    """Run the cases, write the results, print the table; 1 where a goal is missed."""
+    """Run the cases, write the results, print the table; return 1 if a goal is missed."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n", maxsplit=1)[0])
-    parser.add_argument("--runs", type=int, default=ALL_RUNS, help="of each case")
-    parser.add_argument("--quick", action="store_true", help=f"{QUICK_RUNS} runs of each")
-    parser.add_argument("--case", default="", help="only cases whose name holds these words")
-    parser.add_argument("--out", type=Path, help="write the figures; for the page: " + RESULTS.name)
+    parser.add_argument("--runs", type=int, default=ALL_RUNS, help="number of runs of each case")
+    parser.add_argument("--quick", action="store_true", help=f"{QUICK_RUNS} runs of each case")
+    parser.add_argument("--case", default="", help="only cases whose name contains these words")
+    parser.add_argument("--out", type=Path, help="write the results; for the page: " + RESULTS.name)
     parser.add_argument(
-        "--keep", type=Path, help="keep every single run there, and begin with those (same code!)"
+        "--keep", type=Path, help="store every run there, and reuse stored runs of the same code"
     )
-    asked = parser.parse_args()
-    count = QUICK_RUNS if asked.quick else asked.runs
-    runs = earlier_runs(asked.keep)
+    options = parser.parse_args()
+    count = QUICK_RUNS if options.quick else options.runs
+    runs = read_earlier_runs(options.keep)
     with ProcessPoolExecutor(PROCESSES) as pool:
         for case in CASES:
-            if asked.case in case.name:
+            if options.case in case.name:
                 wanted = max(LEAST_RUNS, round(count * case.share))
-                runs[case.name] = collect(case, wanted, runs.get(case.name, []), pool)
-                written(asked.keep, runs)
+                runs[case.name] = collect_runs(case, wanted, runs.get(case.name, []), pool)
+                write_json(options.keep, runs)
     results = {
         "runs": count,
         "cases": {name: summarise(rows) for name, rows in runs.items()},
@@ -97,7 +97,7 @@ def main() -> int:
             if f"{name}, spikes" in runs
         },
     }
-    written(asked.out, results, indent=1)
+    write_json(options.out, results, indent=1)
     missed = 0
     print("| item | goal | measured (95 % interval) | |\n|---|---|---|---|")  # noqa: T201
     for row in judged(results):

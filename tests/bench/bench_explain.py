@@ -1,8 +1,9 @@
-"""What `gyrorig explain` costs: a plain run of each shipped program, and one with 8 causes.
+"""Measure the time of `gyrorig explain` for each shipped program, and for a run with 8 causes.
 
-The emulated rig carries out each program in simulated time; the whole command is then run
-in a process of its own, some times, and its least wall time counts: imports, reading, the
-search, the page. What each step takes is measured in this process, warm, as a batch has it.
+The emulated rig runs each program in simulated time. The bench then runs the whole command several
+times as a separate process, and reports the least wall time. This time contains the imports, the
+reading, the search and the page. The bench measures each step in this process after a warm-up,
+because a batch also runs many recordings in one process.
 
 Run: python tests/bench/bench_explain.py [--turns N] [--only PROGRAM] [--out FILE]
 """
@@ -26,16 +27,16 @@ from gyrorig_solver.discover import candidate_fits, cause_search, fit_explanatio
 from gyrorig_solver.pipeline import explain_board
 
 ROOT = Path(__file__).resolve().parents[2]
-EIGHT = (
+EIGHT_CAUSES = (
     *("backlash", "eccentricity", "clock_skew", "scale_quadratic"),
     *("motor_coupling", "ringing", "worm_error", "supply_hum"),
 )
-PLAIN_S, EIGHT_S = 2.0, 60.0  # bars, wall time of the whole command
+PLAIN_LIMIT_S, EIGHT_CAUSES_LIMIT_S = 2.0, 60.0  # wall time of the whole command
 SEED = 3
 
 
-def record(folder: Path, program: str, hide: tuple[str, ...] = ()) -> Path:
-    """Record a program on the emulated rig, with causes hidden in it."""
+def record_program(folder: Path, program: str, hide: tuple[str, ...] = ()) -> Path:
+    """Record a program on the emulated rig with hidden causes."""
     command = [str(Path(sys.executable).with_name("gyrorigd")), "record", "--simulated-time"]
     command += ["--config", str(ROOT / "config" / "rig.yaml"), "--seed", str(SEED)]
     command += ["--program", str(ROOT / "config" / "programs" / f"{program}.yaml")]
@@ -44,21 +45,21 @@ def record(folder: Path, program: str, hide: tuple[str, ...] = ()) -> Path:
     return next(folder.glob("*.mcap"))
 
 
-def whole(path: Path, turns: int) -> dict[str, float]:
-    """Run the command so many times; return its least wall and processor time."""
+def measure_command(path: Path, repeats: int) -> dict[str, float]:
+    """Run the command several times; return its least wall time and CPU time."""
     command = [sys.executable, "-m", "gyrorig_solver", "explain", str(path)]
-    # As installed: compiled once.
+    # The command writes its bytecode once, as an installed command does.
     environment = {k: v for k, v in os.environ.items() if k != "PYTHONDONTWRITEBYTECODE"}
-    wall, spent = [], []
+    wall_s, cpu_s = [], []
     with tempfile.TemporaryDirectory() as out:
-        for _ in range(turns):
-            before, begin = os.times(), time.monotonic()
+        for _ in range(repeats):
+            before, start_s = os.times(), time.monotonic()
             process = subprocess.run(
                 [*command, "--out", out], capture_output=True, check=False, env=environment
             )
-            wall.append(time.monotonic() - begin)
+            wall_s.append(time.monotonic() - start_s)
             after = os.times()
-            spent.append(
+            cpu_s.append(
                 after.children_user
                 + after.children_system
                 - before.children_user
@@ -66,24 +67,24 @@ def whole(path: Path, turns: int) -> dict[str, float]:
             )
             if process.returncode not in (0, 4):
                 raise RuntimeError(process.stderr.decode())
-    return {"wall_s": min(wall), "processor_s": min(spent)}
+    return {"wall_s": min(wall_s), "processor_s": min(cpu_s)}
 
 
-def steps(path: Path) -> tuple[dict[str, float], list[str]]:
-    """Return the processor time of each step in this process, and the causes named."""
-    spent: dict[str, float] = {}
+def measure_steps(path: Path) -> tuple[dict[str, float], list[str]]:
+    """Return the CPU time of each step in this process, and the names of the reported causes."""
+    steps_s: dict[str, float] = {}
 
-    def booked(step: str, of: Callable[..., Any]) -> Callable[..., Any]:
-        def call(*args: Any, **more: Any) -> Any:
-            begin = time.process_time()
+    def time_calls(step: str, function: Callable[..., Any]) -> Callable[..., Any]:
+        def call(*args: Any, **options: Any) -> Any:
+            start_s = time.process_time()
             try:
-                return of(*args, **more)
+                return function(*args, **options)
             finally:
-                spent[step] = spent.get(step, 0.0) + time.process_time() - begin
+                steps_s[step] = steps_s.get(step, 0.0) + time.process_time() - start_s
 
         return call
 
-    watched = [
+    timed_functions = [
         (explain_board, "fit_base", "base fit"),
         (cause_search, "scan_catalogue", "score passes"),
         (candidate_fits, "fit_candidate", "exact fits"),
@@ -91,67 +92,75 @@ def steps(path: Path) -> tuple[dict[str, float], list[str]]:
         (fit_explanation, "cross_validate_causes", "held-out gain"),
         (explain_board, "write_explanation", "report"),
     ]
-    before = [(module, name, getattr(module, name)) for module, name, _ in watched]
+    originals = [(module, name, getattr(module, name)) for module, name, _ in timed_functions]
     _cached_envelope.cache_clear()
-    begin = time.process_time()
+    start_s = time.process_time()
     try:
-        for module, name, step in watched:
-            setattr(module, name, booked(step, getattr(module, name)))
-        recording = booked("read", read_recording)(path)
+        for module, name, step in timed_functions:
+            setattr(module, name, time_calls(step, getattr(module, name)))
+        recording = time_calls("read", read_recording)(path)
         board = recording.board_ids[0]
         with tempfile.TemporaryDirectory() as out:
             explanation = explain_board.explain_board([recording], board)
             written = explain_board.write_explanation(Path(out), explanation)
     finally:
-        for module, name, original in before:
+        for module, name, original in originals:
             setattr(module, name, original)
-    total = time.process_time() - begin
-    spent["all else"] = total - sum(spent.values())
-    return spent, [cause.cause for cause in written.document.causes]
+    total_s = time.process_time() - start_s
+    steps_s["all else"] = total_s - sum(steps_s.values())
+    return steps_s, [cause.cause for cause in written.document.causes]
 
 
-def measured(program: str, hide: tuple[str, ...], turns: int) -> dict[str, Any]:
-    """Measure one run."""
+def measure_run(program: str, hide: tuple[str, ...], repeats: int) -> dict[str, Any]:
+    """Measure the command and its steps for one recording."""
     with tempfile.TemporaryDirectory() as folder:
-        path = record(Path(folder), program, hide)
-        steps(path)  # warm
-        spent, named = steps(path)
-        return {"hidden": len(hide), **whole(path, turns), "steps_s": spent, "named": named}
+        path = record_program(Path(folder), program, hide)
+        measure_steps(path)  # warm-up
+        steps_s, reported_causes = measure_steps(path)
+        return {
+            "hidden": len(hide),
+            **measure_command(path, repeats),
+            "steps_s": steps_s,
+            "named": reported_causes,
+        }
 
 
-def shown(name: str, bar_s: float, case: dict[str, Any]) -> str:
-    """One run's figures as lines."""
-    missed = "" if case["wall_s"] < bar_s else f"  MISSED the bar of {bar_s:.0f} s"
-    each = ", ".join(f"{step} {1e3 * spent:.0f}" for step, spent in case["steps_s"].items())
+def format_run(name: str, limit_s: float, run: dict[str, Any]) -> str:
+    """Return the times of one run as lines of text."""
+    missed = "" if run["wall_s"] < limit_s else f"  MISSED the limit of {limit_s:.0f} s"
+    steps_ms = ", ".join(f"{step} {1e3 * step_s:.0f}" for step, step_s in run["steps_s"].items())
     return (
-        f"{name:<14} wall {case['wall_s']:6.2f} s, processor {case['processor_s']:6.2f} s{missed}\n"
-        f"  in process, ms: {each}\n  named: {', '.join(case['named']) or 'nothing'}"
+        f"{name:<14} wall {run['wall_s']:6.2f} s, CPU {run['processor_s']:6.2f} s{missed}\n"
+        f"  steps in one process, ms: {steps_ms}\n"
+        f"  reported causes: {', '.join(run['named']) or 'none'}"
     )
 
 
 def main() -> int:
-    """Measure and print; 1 where a bar is missed."""
-    parser = argparse.ArgumentParser(description="time of gyrorig explain")
-    parser.add_argument("--turns", type=int, default=3)
-    parser.add_argument("--only", help="one program, plain")
-    parser.add_argument("--out", type=Path, help="write the figures there")
-    asked = parser.parse_args()
+    """Measure and print all runs; return 1 if a run misses its limit."""
+    parser = argparse.ArgumentParser(description="measure the time of gyrorig explain")
+    parser.add_argument("--turns", type=int, default=3, help="repetitions of each plain run")
+    parser.add_argument("--only", help="only this program, without hidden causes")
+    parser.add_argument("--out", type=Path, help="write the results to this JSON file")
+    options = parser.parse_args()
     programs = sorted(p.stem for p in (ROOT / "config" / "programs").glob("*.yaml"))
     runs: list[tuple[str, str, tuple[str, ...], float]] = [
-        (program, program, (), PLAIN_S) for program in programs if asked.only in (None, program)
+        (program, program, (), PLAIN_LIMIT_S)
+        for program in programs
+        if options.only in (None, program)
     ]
-    if asked.only is None:
-        runs.append(("full, 8 causes", "full", EIGHT, EIGHT_S))
+    if options.only is None:
+        runs.append(("full, 8 causes", "full", EIGHT_CAUSES, EIGHT_CAUSES_LIMIT_S))
     figures, missed = {}, []
-    for name, program, hide, bar_s in runs:
-        figures[name] = measured(program, hide, 1 if hide else asked.turns)
-        if figures[name]["wall_s"] >= bar_s:
+    for name, program, hide, limit_s in runs:
+        figures[name] = measure_run(program, hide, 1 if hide else options.turns)
+        if figures[name]["wall_s"] >= limit_s:
             missed.append(name)
-        print(shown(name, bar_s, figures[name]), flush=True)  # noqa: T201
-    if asked.out:
-        asked.out.write_text(json.dumps(figures, indent=1) + "\n", encoding="utf-8")
+        print(format_run(name, limit_s, figures[name]), flush=True)  # noqa: T201
+    if options.out:
+        options.out.write_text(json.dumps(figures, indent=1) + "\n", encoding="utf-8")
     if missed:
-        print(f"the bar was missed by: {', '.join(missed)}")  # noqa: T201
+        print(f"missed limits: {', '.join(missed)}")  # noqa: T201
     return int(bool(missed))
 
 

@@ -1,6 +1,6 @@
-"""How fast the fleet's page is with many boards, in a headless Chromium, opened from a disk.
+"""Measure the speed of the fleet page with many boards, in a headless Chromium and from a disk.
 
-Each figure is what the page itself measures between an event and the frame that shows it.
+The page measures each time from an event to the frame that shows the result.
 
 Run: python tests/bench/bench_fleet_page.py [--boards 100000] [--pictures FOLDER]
 """
@@ -25,14 +25,14 @@ from gyrorig_solver.fleet.drift import build_overview
 from gyrorig_solver.fleet.drift.fleet_overview import read_origins
 from gyrorig_solver.fleet.page import write_fleet_page
 
-FREEZE_MS = 500.0  # longer is felt as a stop
+FREEZE_MS = 500.0  # the user notices a longer time
 LOAD_MS = 10_000.0
 _TIMED = """
 const done = arguments[arguments.length - 1], begin = performance.now();
 (() => { %s })();
 requestAnimationFrame(() => setTimeout(() => done(performance.now() - begin), 0));
 """
-# what typing ends in
+# the effect of typing a search text
 _SEARCH = "const box = document.getElementById('search'); box.value = '%s'; refresh()"
 STEPS = {
     "search for a name": _SEARCH % "B0500",
@@ -56,7 +56,7 @@ document.querySelectorAll('%s')[%d].click();
 """
 OPEN_BOARD = _OPEN % (".row", 5, "#board")
 OPEN_GROUP = _OPEN % ("#groups-rig td button", 0, "#group")
-PICTURED = FleetPlan(  # enough nights for charts to have a course
+PICTURED_FLEET = FleetPlan(  # enough nights for charts
     boards=2_000,
     nights=40,
     rigs=12,
@@ -69,8 +69,8 @@ PICTURED = FleetPlan(  # enough nights for charts to have a course
 )
 
 
-def timed_fleet(boards: int) -> FleetPlan:
-    """Return the fleet whose page is timed."""
+def plan_timed_fleet(boards: int) -> FleetPlan:
+    """Return the plan of the fleet whose page is timed."""
     return FleetPlan(
         boards=boards,
         nights=10,
@@ -83,30 +83,30 @@ def timed_fleet(boards: int) -> FleetPlan:
     )
 
 
-def made(folder: Path, plan: FleetPlan) -> tuple[Path, dict[str, float]]:
-    """Write a fleet's page; return it and what that took."""
+def write_page(folder: Path, plan: FleetPlan) -> tuple[Path, dict[str, float]]:
+    """Write the page of a fleet; return it, its times and its sizes."""
     store = folder / "store"
     table = write_fleet(store, plan)
-    begun_s = time.process_time()
+    start_s = time.process_time()
     overview = build_overview(store, read_origins(table))
-    asked_s = time.process_time()
+    overview_end_s = time.process_time()
     page = Path(write_fleet_page(store, overview))
     return page, {
-        "overview, s of CPU": asked_s - begun_s,
-        "page, s of CPU": time.process_time() - asked_s,
+        "overview, s of CPU": overview_end_s - start_s,
+        "page, s of CPU": time.process_time() - overview_end_s,
         "data.js, MB": (page.parent / "data.js").stat().st_size / 1e6,
         "histories, MB": sum(script.stat().st_size for script in page.parent.glob("history/*.js"))
         / 1e6,
     }
 
 
-def measured(browser: Any, page: Path) -> dict[str, float]:
-    """Return how long each step takes, ms."""
+def measure_steps(browser: Any, page: Path) -> dict[str, float]:
+    """Return the time of each step, ms."""
     browser.set_script_timeout(PATIENCE_S)
     browser.get(page.as_uri())
     ready = "return document.body.dataset.ready === 'yes'"
     while not browser.execute_script(ready):
-        time.sleep(0.02)  # between looks
+        time.sleep(0.02)  # polling period
     figures = {"load, ms": float(browser.execute_script("return performance.now()"))}
     for name, script in STEPS.items():
         figures[f"{name}, ms"] = min(
@@ -117,8 +117,8 @@ def measured(browser: Any, page: Path) -> dict[str, float]:
     return figures
 
 
-def pictures(browser: Any, page: Path, folder: Path) -> None:
-    """Take pictures of the whole page in light, dark and on a phone, a board and a rig opened."""
+def take_pictures(browser: Any, page: Path, folder: Path) -> None:
+    """Take pictures of the page in light, dark and phone layout, with an open board and rig."""
     browser.set_script_timeout(PATIENCE_S)
     folder.mkdir(parents=True, exist_ok=True)
     for name, width, scheme in (
@@ -134,7 +134,7 @@ def pictures(browser: Any, page: Path, folder: Path) -> None:
         browser.get("about:blank")
         browser.get(page.as_uri())
         while not browser.execute_script("return document.body.dataset.ready === 'yes'"):
-            time.sleep(0.02)  # between looks
+            time.sleep(0.02)  # polling period
         browser.execute_script("document.getElementById('search').value = 'is:drifting'; refresh()")
         browser.execute_async_script(_OPEN % (".row", 0, "#board"))
         browser.execute_async_script(OPEN_GROUP)
@@ -145,24 +145,30 @@ def pictures(browser: Any, page: Path, folder: Path) -> None:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Measure and print; return 1 where the page stops or complains."""
+    """Measure and print; return 1 if a step is too slow or the browser reports a message."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("--boards", type=int, default=100_000, help="0: measure nothing")
-    parser.add_argument("--pictures", type=Path, help="put pictures of another, small fleet there")
+    parser.add_argument("--boards", type=int, default=100_000, help="with 0, measure nothing")
+    parser.add_argument(
+        "--pictures", type=Path, help="write pictures of a second, small fleet to this folder"
+    )
     options = parser.parse_args(arguments)
     with tempfile.TemporaryDirectory() as text:
         folder = Path(text)
         browser = chromium(folder / "profile")
         if browser is None:
-            sys.stdout.write("no Chromium here: apt-get install chromium chromium-driver\n")
+            sys.stdout.write(
+                "Chromium is not installed: apt-get install chromium chromium-driver\n"
+            )
             return 0
         try:
             figures: dict[str, float] = {}
             if options.boards:
-                page, figures = made(folder, timed_fleet(options.boards))
-                figures |= measured(browser, page)
+                page, figures = write_page(folder, plan_timed_fleet(options.boards))
+                figures |= measure_steps(browser, page)
             if options.pictures is not None:
-                pictures(browser, made(folder / "pictured", PICTURED)[0], options.pictures)
+                take_pictures(
+                    browser, write_page(folder / "pictured", PICTURED_FLEET)[0], options.pictures
+                )
             complaints = [
                 entry
                 for entry in browser.get_log("browser")
@@ -177,7 +183,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if name.endswith(", ms") and value > (LOAD_MS if name.startswith("load") else FREEZE_MS)
     ]
     for name in slow:
-        sys.stderr.write(f"{name}: {figures[name]:.0f} is too long\n")
+        sys.stderr.write(f"{name}: {figures[name]:.0f} is too slow\n")
     return int(bool(slow or complaints))
 
 

@@ -1,6 +1,7 @@
-"""A store and a spool of any number of boards, and what a night costs where nothing is new.
+"""Write a store and a spool of any number of boards, and measure a night without new recordings.
 
-What to use when: `fill` makes them, `costs` measures; both for bench_fleet's table of growth.
+What to use when: `write_fleet_files` writes both, and `measure_growth` measures them.
+`bench_fleet.py` uses both functions for its table of growth.
 """
 
 import hashlib
@@ -11,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 from tests.bench.fleet.parts import ERROR, SPREAD
-from tests.bench.fleet_machine import timed
+from tests.bench.fleet_machine import measure_cpu_s
 from tests.unit.fleet.conftest import row
 
 from gyrorig_protocol.identity import BoardId
@@ -30,28 +31,28 @@ from gyrorig_solver.fleet.store.store_queries import VersionFilter, newest_versi
 from gyrorig_solver.storage import Folder
 
 
-def fill(folder: Path, boards: int, document: str, report: bytes) -> tuple[Path, Path]:
-    """Make a spool and a store of so many boards, each with one recording that is done."""
+def write_fleet_files(folder: Path, boards: int, document: str, report: bytes) -> tuple[Path, Path]:
+    """Write a spool and a store of several boards, each with one solved recording."""
     spool, store = folder / "spool", folder / "store"
     spool.mkdir(parents=True)
-    made = create_store(store)
-    head = one_head(folder)
+    calibrations = create_store(store)
+    recording = make_recording_head(folder)
     page = folder / "report.html"
     page.write_bytes(report)
     settings, rng = SolveSettings(solver_version="0.1.0"), np.random.default_rng(1)
     with RowJournal(Folder(store), "night") as journal:
         rows: list[IndexRow] = []
         for number in range(boards):
-            data = head.replace(b"n000000", b"n%06d" % number)
+            data = recording.replace(b"n000000", b"n%06d" % number)
             path = spool / f"{number:06d}.mcap"
             path.write_bytes(data)
             digest = hashlib.sha256(data).hexdigest()
             board = BoardId(f"B{number:06d}")
             text = document.replace("B000000", board).encode()
-            home = made.folder_of(board)
+            home = calibrations.folder_of(board)
             home.mkdir(parents=True)
             (home / "v0001.yaml").write_bytes(text)
-            os.link(page, home / "v0001.report.html")  # as many names as files, one time the room
+            os.link(page, home / "v0001.report.html")  # hard links need no space
             rows.append(
                 row(
                     job_key([digest], settings.solver_version, settings.config_sha256),
@@ -60,7 +61,7 @@ def fill(folder: Path, boards: int, document: str, report: bytes) -> tuple[Path,
                     file=str((home / "v0001.yaml").relative_to(store)),
                     file_sha256=hashlib.sha256(text).hexdigest(),
                     beside=[f"{hashlib.sha256(report).hexdigest()}  v0001.report.html"],
-                    **as_measured(number, rng),
+                    **draw_row_values(number, rng),
                 )
             )
         journal.add(rows)
@@ -69,8 +70,8 @@ def fill(folder: Path, boards: int, document: str, report: bytes) -> tuple[Path,
     return spool, store
 
 
-def as_measured(number: int, rng: np.random.Generator) -> dict[str, object]:
-    """Return what a row of a real night holds beside its keys: no two boards have the same."""
+def draw_row_values(number: int, rng: np.random.Generator) -> dict[str, object]:
+    """Return random values for a row of the index, different for each board."""
     families = [(name, name.split("_", maxsplit=1)[0]) for name in PARAMETER_COLUMNS]
     values = {
         name: float(rng.normal(1.0 if family == "scale" else 0.0, SPREAD[family]))
@@ -99,8 +100,8 @@ def as_measured(number: int, rng: np.random.Generator) -> dict[str, object]:
     }
 
 
-def one_head(folder: Path) -> bytes:
-    """Return a recording that holds its head and a note."""
+def make_recording_head(folder: Path) -> bytes:
+    """Return the bytes of a recording that contains only a head and a note."""
     path = folder / "head.mcap"
     metadata = {"session": "n000000", "rig": "r", "part": "0"}
     metadata |= {"anchor_utc_ns": "1", "anchor_monotonic_raw_ns": "1"}
@@ -109,19 +110,19 @@ def one_head(folder: Path) -> bytes:
     return path.read_bytes()
 
 
-def costs(spool: Path, store: Path, boards: int) -> str:
-    """Return one line of the table of growth."""
+def measure_growth(spool: Path, store: Path, boards: int) -> str:
+    """Return the measured cells of one row of the table of growth."""
     scan = scan_spool(spool)
-    list_s = timed(lambda: scan_spool(spool))
-    begun_s = time.process_time()
+    list_s = measure_cpu_s(lambda: scan_spool(spool))
+    start_s = time.process_time()
     with RecordingCache(store / RECORDING_CACHE_FILE, scan.storage.location) as heads:
         list(heads.remember(read_recordings(scan.storage, scan.recordings)))
-    heads_s = time.process_time() - begun_s
-    resume_s = timed(lambda: resume(spool, store))
-    ls_s = timed(lambda: newest_versions(store, VersionFilter(), 1000))
-    begun_s = time.process_time()
+    heads_s = time.process_time() - start_s
+    resume_s = measure_cpu_s(lambda: resume_batch(spool, store))
+    ls_s = measure_cpu_s(lambda: newest_versions(store, VersionFilter(), 1000))
+    start_s = time.process_time()
     faults = verify(store).faults
-    verify_s = time.process_time() - begun_s
+    verify_s = time.process_time() - start_s
     if faults:
         raise SystemExit(str(faults[:3]))
     size = sum(path.stat().st_size for path in (store / "index").glob("*.parquet"))
@@ -131,8 +132,8 @@ def costs(spool: Path, store: Path, boards: int) -> str:
     )
 
 
-def resume(spool: Path, store: Path) -> None:
-    """Do what a batch does before its first piece of work, where none is new."""
+def resume_batch(spool: Path, store: Path) -> None:
+    """Do the work of a batch before its first job, and check that no job is new."""
     scan = scan_spool(spool)
     with RecordingCache(store / RECORDING_CACHE_FILE, scan.storage.location) as heads:
         known, unread = heads.split_known(scan)
@@ -143,4 +144,4 @@ def resume(spool: Path, store: Path) -> None:
         for session in group_into_sessions(known)
     }
     if unread or keys - finished:
-        raise SystemExit("something is new")
+        raise SystemExit("a job is new")

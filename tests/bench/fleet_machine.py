@@ -1,7 +1,7 @@
-"""Commands run and measured with everything they start: time, processor time, memory.
+"""Measure the time, the CPU time and the memory of a command and all its descendants.
 
-What to use when: `measured(command)` for one command, whose pool, workers and helpers are
-counted too, also those that outlive their parents: this process adopts them.
+What to use when: `measure_command` for one command. The result includes its worker pool and its
+helpers, also those that outlive their parents, because this process adopts them.
 """
 
 import ctypes
@@ -15,46 +15,50 @@ from pathlib import Path
 from resource import RUSAGE_CHILDREN, getrusage
 
 PR_SET_CHILD_SUBREAPER = 36  # linux/prctl.h
-LOOK_S = 0.1
+SAMPLE_PERIOD_S = 0.1
 
 
 @dataclass(frozen=True, slots=True)
 class CommandCost:
-    """What a command took."""
+    """The time and the memory that a command needed, and its output."""
 
     wall_s: float
     cpu_s: float
-    worker_mb: float  # the largest process's share of memory, what it shares counted in part
+    worker_mb: float  # PSS of the largest process, with its part of shared memory
     out: str
     err: str
     code: int
 
 
-def adopt() -> None:
-    """Become the parent of whoever loses theirs below this process."""
+def adopt_orphans() -> None:
+    """Become the parent of all descendants of this process that lose their parents."""
     ctypes.CDLL(None).prctl(PR_SET_CHILD_SUBREAPER, 1, 0, 0, 0)
 
 
-def measured(command: Sequence[str], environment: Mapping[str, str] | None = None) -> CommandCost:
-    """Run a command to its end and that of all it has started."""
-    adopt()
-    before, begun_s = _cpu_s(), time.monotonic()
+def measure_command(
+    command: Sequence[str], environment: Mapping[str, str] | None = None
+) -> CommandCost:
+    """Run a command until it and all its descendants end, and measure it."""
+    adopt_orphans()
+    before_cpu_s, start_s = _children_cpu_s(), time.monotonic()
     child = subprocess.Popen(
         command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment
     )
-    most: list[float] = [0.0]
+    peak_mb: list[float] = [0.0]
     end = threading.Event()
-    looker = threading.Thread(target=_look, args=(end, most))
-    looker.start()
+    sampler = threading.Thread(target=_sample_memory, args=(end, peak_mb))
+    sampler.start()
     out, err = child.communicate()
-    wall_s = time.monotonic() - begun_s
+    wall_s = time.monotonic() - start_s
     end.set()
-    looker.join()
-    reap()
-    return CommandCost(wall_s, _cpu_s() - before, most[0], out, err, child.returncode)
+    sampler.join()
+    reap_children()
+    return CommandCost(
+        wall_s, _children_cpu_s() - before_cpu_s, peak_mb[0], out, err, child.returncode
+    )
 
 
-def reap() -> None:
+def reap_children() -> None:
     """Wait for all adopted children."""
     while True:
         try:
@@ -63,18 +67,18 @@ def reap() -> None:
             return
 
 
-def _cpu_s() -> float:
+def _children_cpu_s() -> float:
     used = getrusage(RUSAGE_CHILDREN)
     return used.ru_utime + used.ru_stime
 
 
-def _look(end: threading.Event, most: list[float]) -> None:
-    while not end.wait(LOOK_S):
-        most[0] = max([most[0], *(pss_mb(pid) for pid in below(os.getpid()))])
+def _sample_memory(end: threading.Event, peak_mb: list[float]) -> None:
+    while not end.wait(SAMPLE_PERIOD_S):
+        peak_mb[0] = max([peak_mb[0], *(read_pss_mb(pid) for pid in list_descendants(os.getpid()))])
 
 
-def below(parent: int) -> list[int]:
-    """Return the processes below one, itself left out."""
+def list_descendants(parent: int) -> list[int]:
+    """Return all descendants of a process."""
     parents: dict[int, int] = {}
     for folder in Path("/proc").glob("[0-9]*"):
         try:
@@ -83,13 +87,13 @@ def below(parent: int) -> list[int]:
             continue
         parents[int(folder.name)] = int(fields[1])
     processes = {parent}
-    while more := {pid for pid, above in parents.items() if above in processes} - processes:
-        processes |= more
+    while children := {pid for pid, ppid in parents.items() if ppid in processes} - processes:
+        processes |= children
     return sorted(processes - {parent})
 
 
-def pss_mb(pid: int) -> float:
-    """Return the memory of a process; 0 where it is gone."""
+def read_pss_mb(pid: int) -> float:
+    """Return the memory of a process, or 0 if it has ended."""
     try:
         for line in (Path("/proc") / str(pid) / "smaps_rollup").read_text().splitlines():
             if line.startswith("Pss:"):
@@ -99,11 +103,11 @@ def pss_mb(pid: int) -> float:
     return 0.0
 
 
-def timed(work: Callable[[], object]) -> float:
-    """Return the processor's seconds that this process spends on `work`, least of three."""
-    took = []
+def measure_cpu_s(work: Callable[[], object]) -> float:
+    """Return the least CPU time of three calls of `work` in this process."""
+    times_s = []
     for _ in range(3):
-        begun_s = time.process_time()
+        start_s = time.process_time()
         work()
-        took.append(time.process_time() - begun_s)
-    return min(took)
+        times_s.append(time.process_time() - start_s)
+    return min(times_s)

@@ -1,15 +1,14 @@
-"""Kill real recordings with SIGKILL at random moments, recover each, and say what was lost.
+"""Kill real recordings with SIGKILL at random moments, recover them, and report the loss.
 
     .venv/bin/python tests/bench/kill_recordings.py --kills 200
 
-Each kill hits a fresh `gyrorigd record` on emulated devices behind ptys, at a moment
-between the creation of its file and a little behind its end. The processes are forked
-from one that has everything imported, which takes most of a start's time. A witness looks
-at the daemon and the emulated rig meanwhile: of a loss above 0.8 s it is told whether
-they ran, waited for a processor or for the disk. Then the
-recovery makes a recording of what is left; mcap's own reader and ours go through it. Exit
-code 1 if anything before the end is missing, doubled or damaged, or if more was lost at the
-end than `LIMIT_S`.
+Each kill ends a new `gyrorigd record` on emulated devices behind ptys. The moment of the kill is
+between the creation of the file and a short time after the end of the program. The script forks
+the recorders, because the imports take most of the start time. A monitor samples the daemon and
+the emulated rig. For a loss above 0.8 s, the report states whether they ran, waited for a
+processor or for the disk. After each kill, the script recovers the recording, and reads it with
+the reader of the mcap library and with ours. It exits with status 1 if data before the end are
+missing, repeated or damaged, or if a loss at the end is larger than `LIMIT_S`.
 """
 
 import argparse
@@ -30,7 +29,7 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
-from tests.bench.standing import Witness
+from tests.bench.standing import ProcessMonitor
 
 from gyrorig_daemon import cli
 from gyrorig_daemon.commands import command_group as _imported_once  # noqa: F401
@@ -40,8 +39,8 @@ from gyrorig_protocol.recording.recording import times_ns
 from gyrorig_protocol.recording.salvage import read_strictly
 
 GYRORIGD = (sys.executable, "-m", "gyrorig_daemon")
-TELL_S = 0.8  # of a loss so large it is told what the processes did meanwhile
-LIMIT_S = 1.0  # reference: "kill -9 or power cut at any moment", at most this is lost
+EXPLAINED_LOSS_S = 0.8  # the report explains losses from this size
+LIMIT_S = 1.0  # largest loss after "kill -9 or power cut at any moment"
 RIG = """
 rig: kill
 ptu: {{port: {ptu}, baud: 115200}}
@@ -57,38 +56,38 @@ steps:
   - home: {}
   - rest: {seconds: 0.6, phase: static}
 """
-BUSY = 75
+BUSY_STATUS = 75
 IMU = "/board/B-1/imu_raw"
 
 
 @dataclass(frozen=True, slots=True)
 class Kill:
-    """What one kill came to."""
+    """The result of one kill."""
 
     outcome: str
     loss_s: float | None  # from the last recovered sample to the kill
     samples: int
     fault: str = ""
-    missing: int = 0  # samples that never reached the daemon, by the board's counter
-    why: str = ""  # what the processes did in the time that is lost
+    missing: int = 0  # samples that did not reach the daemon, by the counter of the board
+    why: str = ""  # activity of the processes during the lost time
 
 
 class ForkedRecorder:
-    """A `gyrorigd` that begins without importing anything."""
+    """A forked `gyrorigd`, which starts without imports."""
 
     def __init__(self, arguments: list[str]) -> None:
         self.code: int | None = None
         self.pid = os.fork()
         if self.pid == 0:
             os.setsid()
-            quiet = os.open(os.devnull, os.O_RDWR)
+            null = os.open(os.devnull, os.O_RDWR)
             for handle in (0, 1, 2):
-                os.dup2(quiet, handle)
+                os.dup2(null, handle)
             os._exit(cli.run(arguments))
 
-    def wait(self, patience_s: float) -> bool:
-        """Whether it has ended by then."""
-        deadline = time.monotonic() + patience_s
+    def wait(self, timeout_s: float) -> bool:
+        """Return whether the process ends within a time."""
+        deadline = time.monotonic() + timeout_s
         while self.code is None:
             pid, status = os.waitpid(self.pid, os.WNOHANG)
             if pid:
@@ -100,14 +99,14 @@ class ForkedRecorder:
         return True
 
     def kill(self) -> None:
-        """End it as the system does that is out of memory."""
+        """Kill the process, as the kernel does without free memory."""
         if self.code is None:
             os.kill(self.pid, signal.SIGKILL)
             self.wait(60.0)
 
 
 class Rig:
-    """Emulated devices on ptys, and one recording after another on them."""
+    """Emulated devices on ptys, which make one recording after the other."""
 
     def __init__(self, folder: Path, seed: int) -> None:
         self._folder = folder
@@ -125,74 +124,74 @@ class Rig:
         self._rig, self._program = folder / "rig.yaml", folder / "program.yaml"
         self._rig.write_text(RIG.format(ptu=ports["ptu"], board=ports["board:B-1"]))
         self._program.write_text(PROGRAM)
-        self._chance = random.Random(seed)
+        self._rng = random.Random(seed)
 
     def close(self) -> None:
         """End the emulator."""
         self._process.communicate(timeout=30)
 
     def kill_one(self, number: int) -> Kill:
-        """Begin a recording, kill it, recover it."""
+        """Start a recording, kill it, and recover it."""
         out = self._folder / f"out{number}"
-        daemon = self._begin(out)
-        # From the moment at which there is a file to behind the end of the program.
+        daemon = self._start_recording(out)
+        # The file exists now; the longest wait ends after the end of the program.
         opened_ns = time.time_ns()
-        witness = Witness({"daemon": daemon.pid, "emulated rig": self._process.pid})
-        daemon.wait(self._chance.uniform(0.0, 5.0))
+        monitor = ProcessMonitor({"daemon": daemon.pid, "emulated rig": self._process.pid})
+        daemon.wait(self._rng.uniform(0.0, 5.0))
         killed_s, killed_ns = time.monotonic(), time.time_ns()
         daemon.kill()
-        witness.close()
-        kill = self._look(out, opened_ns, None if daemon.code == 0 else killed_ns)
-        if kill.loss_s is None or kill.loss_s < TELL_S:
+        monitor.close()
+        kill = self._check_recording(out, opened_ns, None if daemon.code == 0 else killed_ns)
+        if kill.loss_s is None or kill.loss_s < EXPLAINED_LOSS_S:
             return kill
-        return replace(kill, why=witness.busy_text(killed_s - kill.loss_s))
+        return replace(kill, why=monitor.describe_activity(killed_s - kill.loss_s))
 
-    def _begin(self, out: Path) -> "ForkedRecorder":
+    def _start_recording(self, out: Path) -> "ForkedRecorder":
         files = ["--config", str(self._rig), "--program", str(self._program), "--out", str(out)]
-        refused = 0
+        failures = 0
         while True:
             daemon = ForkedRecorder(["record", *files])
             deadline = time.monotonic() + 60.0
-            while not self._files(out) and time.monotonic() < deadline:
+            while not self._list_files(out) and time.monotonic() < deadline:
                 if daemon.wait(0.01):
                     break
             else:
                 return daemon
             if daemon.code == 0:
                 return daemon
-            # The last one's acquisition process may still halt the unit.
-            refused += daemon.code != BUSY
-            if refused > 5:
-                raise SystemExit(f"gyrorigd ended with {daemon.code} before there was a file")
+            # The acquisition process of the previous recording may still halt the unit.
+            failures += daemon.code != BUSY_STATUS
+            if failures > 5:
+                raise SystemExit(f"gyrorigd exited with status {daemon.code} before it made a file")
             time.sleep(0.2)
 
     @staticmethod
-    def _files(out: Path) -> list[Path]:
+    def _list_files(out: Path) -> list[Path]:
         return [*out.glob("*.mcap"), *out.glob("*.part")] if out.is_dir() else []
 
-    def _look(self, out: Path, opened_ns: int, killed_ns: int | None) -> Kill:
-        """Recover what is left, and compare it with what should be."""
+    def _check_recording(self, out: Path, opened_ns: int, killed_ns: int | None) -> Kill:
+        """Recover the recording, and check its samples."""
         reports = recover_folder(out)
         outcomes = [report.outcome for report in reports]
         finished = sorted(out.glob("*.mcap"))
         outcome = outcomes[0].value if outcomes else "closed"
         if RecoveryOutcome.FAILED in outcomes or (killed_ns is None and outcomes):
             return Kill(outcome, None, 0, reports[0].text)
-        lost_s = 0.0 if killed_ns is None else (killed_ns - opened_ns) * 1e-9
+        duration_s = 0.0 if killed_ns is None else (killed_ns - opened_ns) * 1e-9
         if not finished:
-            return Kill("no whole chunk yet", lost_s, 0)
+            return Kill("no whole chunk yet", duration_s, 0)
         (path,) = finished
         read_strictly(path)
         recording = read_recording(path)
         if not recording.is_complete:
             return Kill(outcome, None, 0, f"losses: {recording.losses}")
-        if IMU not in recording.topics:  # the first chunk: what the unit said before
-            return Kill("no sample yet", lost_s, 0)
+        if IMU not in recording.topics:  # the first chunk has only replies of the unit
+            return Kill("no sample yet", duration_s, 0)
         samples = recording.array(IMU)
         numbers = samples["message_sequence"].tolist()
         if numbers != list(range(len(numbers))):
-            return Kill(outcome, None, len(samples), "a gap in the daemon's own numbers")
-        # What the board's counter misses was lost before the daemon had it: told, no fault.
+            return Kill(outcome, None, len(samples), "a gap in the message numbers of the daemon")
+        # A gap in the counter of the board is a loss before the daemon, which is not a fault.
         sequence = samples["sequence"].astype(np.uint16)
         missing = int((sequence[1:] - sequence[:-1]).astype(np.int64).sum()) - len(sequence) + 1
         last_ns = int(times_ns(samples["host_time"][-1:])[0])
@@ -201,25 +200,27 @@ class Rig:
 
 
 def main() -> int:
-    """Kill, and print the figures."""
-    arguments = argparse.ArgumentParser(description=__doc__)
-    arguments.add_argument("--kills", type=int, default=200)
-    arguments.add_argument("--jobs", type=int, default=2)
-    arguments.add_argument("--seed", type=int, default=1)
-    wanted = arguments.parse_args()
-    share = [len(range(job, wanted.kills, wanted.jobs)) for job in range(wanted.jobs)]
+    """Kill recordings, and print the report."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--kills", type=int, default=200)
+    parser.add_argument("--jobs", type=int, default=2)
+    parser.add_argument("--seed", type=int, default=1)
+    options = parser.parse_args()
+    kills_per_job = [len(range(job, options.kills, options.jobs)) for job in range(options.jobs)]
     with tempfile.TemporaryDirectory(prefix="kill-") as folder:
         jobs = [
-            (Path(folder, str(job)), wanted.seed * 1000 + job, count)
-            for job, count in enumerate(share)
+            (Path(folder, str(job)), options.seed * 1000 + job, count)
+            for job, count in enumerate(kills_per_job)
         ]
-        with multiprocessing.Pool(wanted.jobs) as pool:
-            kills = [kill for batch in pool.starmap(work, jobs, chunksize=1) for kill in batch]
+        with multiprocessing.Pool(options.jobs) as pool:
+            kills = [
+                kill for batch in pool.starmap(kill_recordings, jobs, chunksize=1) for kill in batch
+            ]
     return report(kills)
 
 
-def work(folder: Path, seed: int, count: int) -> list[Kill]:
-    """Kill so many, on a rig of their own."""
+def kill_recordings(folder: Path, seed: int, count: int) -> list[Kill]:
+    """Kill several recordings on a separate rig."""
     rig = Rig(folder, seed)
     kills = []
     try:
@@ -232,16 +233,18 @@ def work(folder: Path, seed: int, count: int) -> list[Kill]:
 
 
 def report(kills: list[Kill]) -> int:
-    """Print what the kills came to; 1 if anything is wrong, or more was lost than is stated."""
+    """Print the results of the kills; return 1 for a fault or for a loss above the limit."""
     outcomes = Counter(kill.outcome for kill in kills)
     losses = sorted(kill.loss_s for kill in kills if kill.loss_s is not None)
     too_large = [loss for loss in losses if loss > LIMIT_S]
     faults = [kill.fault for kill in kills if kill.fault]
-    lines = [f"{len(kills)} kills: " + ", ".join(f"{n} {what}" for what, n in outcomes.items())]
+    lines = [
+        f"{len(kills)} kills: " + ", ".join(f"{n} {outcome}" for outcome, n in outcomes.items())
+    ]
     if losses:
-        middle = losses[len(losses) // 2]
+        median_s = losses[len(losses) // 2]
         lines.append(
-            f"lost at the end: median {middle:.2f} s, largest {losses[-1]:.2f} s "
+            f"lost at the end: median {median_s:.2f} s, largest {losses[-1]:.2f} s "
             f"({len(too_large)} above {LIMIT_S:.0f} s)"
         )
     lines += [f"  {kill.loss_s:.2f} s, {kill.outcome}: {kill.why}" for kill in kills if kill.why]

@@ -1,8 +1,8 @@
-"""Index rows of a fleet that never was: boards of lots on rigs, night after night.
+"""Write the index rows of a synthetic fleet: boards from lots, on rigs, night after night.
 
-What to use when: for tests and figures of fleet statistics and of the index's own speed,
-where a million calibrations are needed and their documents are not. Values are drawn as
-calibrations are: a board's truth, a night's scatter, a calibration's own error.
+What to use when: `write_fleet` for tests of the fleet statistics and for the speed of the index,
+which need a million index rows but no calibration documents. Each value is the sum of the true
+value of the board, a random variation per night and the error of the calibration.
 """
 
 from dataclasses import dataclass, field
@@ -19,40 +19,44 @@ from gyrorig_solver.fleet.store.index_rows import sql_columns
 
 @dataclass(frozen=True, slots=True)
 class FleetPlan:
-    """What is hidden in a fleet; sizes in the parameter's unit."""
+    """The size of a fleet and its hidden faults, in the unit of the parameter."""
 
     boards: int = 200
     nights: int = 30
     rigs: int = 8
     lots: int = 4
     seed: int = 1
-    measured: float = 0.8  # share of the boards on a night
-    rig_drift: tuple[int, str, int, float] | None = None  # rig, parameter, first night, a night
+    measured: float = 0.8  # share of the boards that are measured in a night
+    rig_drift: tuple[int, str, int, float] | None = (
+        None  # rig, parameter, first night, drift per night
+    )
     bad_lot: tuple[int, str, float] | None = None
-    constant: tuple[str, float] | None = None  # on every unit
+    constant: tuple[str, float] | None = None  # parameter, error on every unit
     board_drift: tuple[int, str, int, float] | None = None
     odd_board: tuple[int, str, float] | None = None
     temperature_per_c: dict[str, float] = field(default_factory=dict)
-    slope_spread: dict[str, float] = field(default_factory=dict)  # boards' own, about that
-    count_rad_s: float | None = None  # what a count is worth
-    truncated: bool = False  # counts are cut off: half a one is missing on every axis
-    clock_ppm: float | None = None  # boards' own clocks differ by
-    host_ppm: dict[int, float] = field(default_factory=dict)  # the clock of a rig's host is fast by
-    tick_ppm: float = 0.0  # every board counts so much faster than its profile says
+    slope_spread: dict[str, float] = field(
+        default_factory=dict
+    )  # standard deviation between boards
+    count_rad_s: float | None = None  # size of a count
+    truncated: bool = False  # counts are truncated: the bias is half a count too low
+    clock_ppm: float | None = None  # standard deviation of the board clocks
+    host_ppm: dict[int, float] = field(default_factory=dict)  # by rig, error of the host clock
+    tick_ppm: float = 0.0  # error of the tick rate in the profile
 
 
-def rooms_of(plan: FleetPlan, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-    """Return which boards are measured on which nights, and at which temperatures."""
+def draw_conditions(plan: FleetPlan, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    """Draw which boards are measured in each night, and their temperatures."""
     shape = (plan.nights, plan.boards)
     measured = rng.random(shape) < plan.measured
     season = 4.0 * np.sin(np.arange(plan.nights) / 4.0)[:, None]
     return measured, 25.0 + season + rng.normal(0.0, 0.5, shape)
 
 
-def column_of(
+def draw_parameter(
     plan: FleetPlan, name: str, rng: np.random.Generator, temperature_c: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return one parameter's values and standard deviations, (nights, boards)."""
+    """Draw the values and standard deviations of one parameter, (nights, boards)."""
     family = name.split("_", maxsplit=1)[0]
     night = np.arange(plan.nights)[:, None]
     board = np.arange(plan.boards)
@@ -70,28 +74,28 @@ def column_of(
         value += plan.bad_lot[2] * (board % plan.lots == plan.bad_lot[0])
     if plan.odd_board is not None and plan.odd_board[1] == name:
         value += plan.odd_board[2] * (board == plan.odd_board[0])
-    for drift, here in ((plan.rig_drift, board % plan.rigs), (plan.board_drift, board)):
+    for drift, number in ((plan.rig_drift, board % plan.rigs), (plan.board_drift, board)):
         if drift is not None and drift[1] == name:
-            value += np.maximum(night - drift[2] + 1, 0) * drift[3] * (here == drift[0])
+            value += np.maximum(night - drift[2] + 1, 0) * drift[3] * (number == drift[0])
     return value, std
 
 
-def skew_of(plan: FleetPlan) -> np.ndarray:
-    """Return how fast each board's clock is against its host's, ppm; NaN where boards have none."""
+def draw_skew_ppm(plan: FleetPlan) -> np.ndarray:
+    """Draw the skew of each board clock to its host clock, ppm; NaN without a clock."""
     if plan.clock_ppm is None:
         return np.full(plan.boards, np.nan)
-    skew_ppm = np.random.default_rng([plan.seed, 2]).normal(0.0, plan.clock_ppm, plan.boards)
-    host = [plan.host_ppm.get(board % plan.rigs, 0.0) for board in range(plan.boards)]
-    skew: np.ndarray = skew_ppm + plan.tick_ppm - np.array(host)
-    return skew
+    board_ppm = np.random.default_rng([plan.seed, 2]).normal(0.0, plan.clock_ppm, plan.boards)
+    host_ppm = [plan.host_ppm.get(board % plan.rigs, 0.0) for board in range(plan.boards)]
+    skew_ppm: np.ndarray = board_ppm + plan.tick_ppm - np.array(host_ppm)
+    return skew_ppm
 
 
 def write_fleet(store: Path, plan: FleetPlan) -> Path:
-    """Write a store's index and a table of its boards' lots and sites; return the table."""
+    """Write the index of a store, and return the path of a table with the lots and sites."""
     create_store(store)
     (store / "index").mkdir(exist_ok=True)
     rng = np.random.default_rng(plan.seed)
-    measured, temperature = rooms_of(plan, rng)
+    measured, temperature = draw_conditions(plan, rng)
     night, board = np.nonzero(measured)
     version = (np.cumsum(measured, axis=0))[measured]
     columns: dict[str, np.ndarray] = {
@@ -99,12 +103,12 @@ def write_fleet(store: Path, plan: FleetPlan) -> Path:
         "n_night": night,
         "n_version": version,
         "temperature": temperature[measured],
-        "skew": skew_of(plan)[board],
+        "skew": draw_skew_ppm(plan)[board],
     }
     for name in PARAMETER_COLUMNS:
-        value, std = column_of(plan, name, rng, temperature)
+        value, std = draw_parameter(plan, name, rng, temperature)
         columns[name], columns[f"{name}_std"] = value[measured], std[measured]
-    made = {
+    expressions = {
         "key": "'synthetic-' || n_board || '-' || n_version",
         "status": "'ok'",
         "created": "TIMESTAMP '2026-01-01 03:00:00' + to_days(n_night::INTEGER)",
@@ -128,14 +132,14 @@ def write_fleet(store: Path, plan: FleetPlan) -> Path:
         "gyro_scale_rad_s": "NULL" if plan.count_rad_s is None else repr(float(plan.count_rad_s)),
     }
     fields = ", ".join(
-        f"({made.get(name, name if name in columns else 'NULL')})::{kind} AS {name}"
+        f"({expressions.get(name, name if name in columns else 'NULL')})::{kind} AS {name}"
         for name, kind in sql_columns().items()
     )
     with duckdb.connect() as database:
         database.register("drawn", columns)
         path = store / "index" / "synthetic-0000.parquet"
         database.execute(
-            f"COPY (SELECT {fields} FROM drawn) TO '{path}' (FORMAT parquet, COMPRESSION zstd)"  # noqa: S608 - ours
+            f"COPY (SELECT {fields} FROM drawn) TO '{path}' (FORMAT parquet, COMPRESSION zstd)"  # noqa: S608 - internal names
         )
     table = store.parent / f"{store.name}-boards.csv"
     lines = [

@@ -1,18 +1,18 @@
-"""The blocks of the pages, and how each is to be taken.
+"""Read the code blocks of the pages, and how the test treats each block.
 
-What to use when: `pages` lists what somebody may follow, `blocks` what one page asks for. A block
-is what stands between ```sh and ```, or ```python and ```. Lines before it may say how it is
-taken:
+What to use when: `pages` lists the pages with instructions, `blocks` yields the blocks of one
+page. A block is the text between ```sh and ```, or between ```python and ```. Marks before a
+block set how the test treats it:
 
-    <!-- test: look: elsewhere -->   only looked up, because of one of `REASONS`
-    <!-- test: serve rig/sock -->    goes on until the page ends, begun when that path is there
-                                     (or HOST:PORT answers); told to end it has to leave with 0
-    <!-- test: save table.yaml -->   the reader saves it (```yaml blocks too)
-    <!-- test: in clone -->          where it is run, one of `PLACES`; else an empty folder
-    <!-- test: after COMMAND -->     what the page takes for done; several in their order
-    <!-- test: output -->            before a ```text block: what the block above it prints
+    <!-- test: look: elsewhere -->   do not run it; the reason is one of `REASONS`
+    <!-- test: serve rig/sock -->    run it until the page ends; continue when this path exists
+                                     (or HOST:PORT answers); it must exit with 0 after SIGTERM
+    <!-- test: save table.yaml -->   save it in this file (```yaml blocks too)
+    <!-- test: in clone -->          run it in one of `PLACES`; without a mark, an empty folder
+    <!-- test: after COMMAND -->     run this command first; several commands run in their order
+    <!-- test: output -->            before a ```text block: the output of the block above it
 
-tests/unit/output/test_docs.py looks up all commands.
+tests/unit/output/test_docs.py looks up all commands in the help of the programs.
 """
 
 import re
@@ -26,37 +26,37 @@ _BLOCK = re.compile(
     rf"(?P<marks>(?:^{_MARK})*)^```(?P<kind>[\w-]*)[^\n]*\n(?P<body>.*?)^```",
     re.MULTILINE | re.DOTALL,
 )
-# Lines that a reader would type, in a block that nobody runs
-_TYPED = re.compile(
+# Command lines in a block that the test does not run
+_COMMAND_LINE = re.compile(
     r"^(\$ )?(sudo )?(gyrorigd?|make|pip|python3?|git|openssl|dask|ssh|systemctl) [-\w]",
     re.MULTILINE,
 )
 REASONS = {
     "bench": "takes minutes; tests/unit/fleet/test_synthetic_fleet does less of it",
-    "ci": "takes minutes, and .ci/run begins with it in a fresh clone",
-    "data": "measured data that are not here",
-    "elsewhere": "another computer",
+    "ci": "takes minutes, and .ci/run runs it first in a fresh clone",
+    "data": "needs measured data that are not available",
+    "elsewhere": "for another computer",
     "packages": "tests/packages does the same with the wheel of this checkout",
 }
 PLACES = {
-    "bucket": "a network of its own, in which https://objects.example has a bucket",
+    "bucket": "a separate network in which https://objects.example serves a bucket",
     "clone": "a fresh clone of this checkout, without its virtual environment",
     "rig": "a container with an emulated rig on the ports of config/rig-raspberrypi.yaml, as root",
-    "wheel": "a virtual environment to which the wheel can be installed",
+    "wheel": "a virtual environment into which a page can install the wheel",
 }
-HOWS = ("run", "look", "serve", "save")
-# Decisions say what was. The page of measured data is made anew, commands and all, by
-# `make test-pages`; some of its commands are there to be refused.
-PASSED_OVER = ("decisions", "measured-data.md")
+TREATMENTS = ("run", "look", "serve", "save")
+# Decisions describe earlier versions. `make test-pages` runs the commands of the page of measured
+# data and generates the page; some of these commands must fail.
+SKIPPED_PAGES = ("decisions", "measured-data.md")
 
 
 class DocumentError(Exception):
-    """A page says something that cannot be carried out, or that fails."""
+    """A mark of a page is invalid, or a command of the page fails."""
 
 
 @dataclass(frozen=True, slots=True)
 class Block:
-    """Lines that a page asks its reader to run or to save."""
+    """Lines that the reader of a page runs or saves."""
 
     page: Path
     line: int
@@ -65,17 +65,17 @@ class Block:
     how: str = "run"
     detail: str = ""  # the reason, the path, or the name
     place: str = ""  # "" is an empty folder
-    before: tuple[str, ...] = ()  # commands
-    output: str | None = None  # what the page says that the commands print
+    before: tuple[str, ...] = ()  # commands that run first
+    output: str | None = None  # the output of the commands according to the page
 
     @property
     def where(self) -> str:
-        """Page and line, for an error."""
+        """Return the page and the line for an error message."""
         return f"{self.page.name}:{self.line}"
 
     @property
     def count(self) -> int:
-        """How many commands it has."""
+        """Return the number of commands."""
         if self.how == "save" or self.kind == "yaml":
             return 0
         if self.kind == "python":
@@ -84,11 +84,10 @@ class Block:
 
 
 def blocks(page: Path) -> Iterator[Block]:
-    """Yield a page's blocks in order; data that nobody is asked to save are none.
+    """Yield the blocks of a page in order, without data that the reader does not save.
 
     Raises:
-        DocumentError: how a block is to be taken is not said as above, or commands stand in a
-            block that nobody would run.
+        DocumentError: a mark is invalid, or a block contains commands but is not an ```sh block.
     """
     text = page.read_text(encoding="utf-8")
     pending: Block | None = None
@@ -103,16 +102,16 @@ def blocks(page: Path) -> Iterator[Block]:
         if pending is not None:
             yield pending
             pending = None
-        block = _block(page, line, match["kind"], match["body"], marks)
+        block = _parse_block(page, line, match["kind"], match["body"], marks)
         if block.kind in ("sh", "python") or block.how == "save":
             pending = block
-        elif block.kind != "yaml" and _TYPED.search(block.body):
+        elif block.kind != "yaml" and _COMMAND_LINE.search(block.body):
             raise DocumentError(f"{block.where}: commands stand in ```sh, to be run")
     if pending is not None:
         yield pending
 
 
-def _block(page: Path, line: int, kind: str, body: str, marks: list[str]) -> Block:
+def _parse_block(page: Path, line: int, kind: str, body: str, marks: list[str]) -> Block:
     where = f"{page.name}:{line}"
     how, detail, place = "run", "", ""
     before: list[str] = []
@@ -123,7 +122,7 @@ def _block(page: Path, line: int, kind: str, body: str, marks: list[str]) -> Blo
             before.append(rest)
         elif head == "in":
             place = rest
-        elif head in HOWS and rest:
+        elif head in TREATMENTS and rest:
             how, detail = head, rest
         else:
             raise DocumentError(f"{where}: how is it to be taken: {mark!r}?")
@@ -135,7 +134,7 @@ def _block(page: Path, line: int, kind: str, body: str, marks: list[str]) -> Blo
 
 
 def pages() -> list[Path]:
-    """Return the pages that somebody may follow."""
+    """Return the pages with instructions."""
     paths = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
     paths += [ROOT / "systemd" / "README.md"]
-    return [page for page in paths if not set(page.parts) & set(PASSED_OVER)]
+    return [page for page in paths if not set(page.parts) & set(SKIPPED_PAGES)]

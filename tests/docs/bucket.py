@@ -1,10 +1,10 @@
-"""A network of its own in which https://objects.example is an object store with a bucket.
+"""Start an object store with a bucket at https://objects.example, in a separate network.
 
-What to use when: `ObjectStore`, a context; `prefix` brings a command into that network, where
-nothing else is. The store is moto's, behind TLS with a certificate made for it; the bucket is
-`fleet`, and so is the name of the profile that has its credentials.
+What to use when: `ObjectStore` is a context manager. Its `prefix` runs a command in that network,
+which contains nothing else. The server is moto, behind TLS with a new certificate. The bucket and
+the profile with its credentials have the name `fleet`.
 
-Run by itself it is the store: `python tests/docs/bucket.py CERTIFICATE KEY`.
+As a script, this module is the server: `python tests/docs/bucket.py CERTIFICATE KEY`.
 """
 
 import os
@@ -18,9 +18,9 @@ from pathlib import Path
 from types import TracebackType
 
 NAME, BUCKET, PROFILE = "objects.example", "fleet", "fleet"
-_SECRETS = f"[{PROFILE}]\naws_access_key_id = test\naws_secret_access_key = test\n"
-_REGION = f"[profile {PROFILE}]\nregion = us-east-1\n"
-_NETWORK = """
+_CREDENTIALS = f"[{PROFILE}]\naws_access_key_id = test\naws_secret_access_key = test\n"
+_CONFIG = f"[profile {PROFILE}]\nregion = us-east-1\n"
+_SERVER_SCRIPT = """
 set -e
 ip link set lo up
 mount --bind {hosts} /etc/hosts
@@ -32,13 +32,13 @@ class ObjectStore:
     """A running object store."""
 
     def __init__(self, folder: Path) -> None:
-        """Prepare it.
+        """Set the environment of the commands.
 
         Args:
-            folder: an empty one, for its certificate and credentials.
+            folder: an empty folder for the certificate and the credentials.
         """
         self._folder = folder
-        self._running: subprocess.Popen[str] | None = None
+        self._server: subprocess.Popen[str] | None = None
         self.prefix: tuple[str, ...] = ()
         self.environment = {
             "AWS_CA_BUNDLE": str(folder / "certificate.pem"),
@@ -48,20 +48,20 @@ class ObjectStore:
         }
 
     @staticmethod
-    def why_not() -> str:
-        """Return why there can be no such network here, "" where there can."""
+    def find_missing_requirement() -> str:
+        """Return which requirement this computer does not meet, or an empty text."""
         if os.geteuid() != 0:
-            return "a network of its own needs root"
+            return "a separate network needs root"
         for program, package in (("nsenter", "util-linux"), ("ip", "iproute2")):
             if shutil.which(program) is None:
-                return f"no {program} here: it comes with the package {package}"
-        return "" if find_spec("moto") else "no moto here: pip install moto"
+                return f"{program} is not installed: install the package {package}"
+        return "" if find_spec("moto") else "moto is not installed: pip install moto"
 
     def __enter__(self) -> "ObjectStore":
-        """Begin; returns when the bucket is there.
+        """Start the server, and return when the bucket exists.
 
         Raises:
-            RuntimeError: it does not come up.
+            RuntimeError: the server does not start.
         """
         folder = self._folder
         certificate, key, hosts = (folder / name for name in ("certificate.pem", "key", "hosts"))
@@ -70,25 +70,27 @@ class ObjectStore:
              "-nodes", "-days", "1", "-subj", f"/CN={NAME}", "-keyout", key, "-out", certificate,
              "-addext", f"subjectAltName=DNS:{NAME}"], check=True, capture_output=True,
         )  # fmt: skip
-        (folder / "credentials").write_text(_SECRETS)
-        (folder / "config").write_text(_REGION)
+        (folder / "credentials").write_text(_CREDENTIALS)
+        (folder / "config").write_text(_CONFIG)
         hosts.write_text(f"127.0.0.1 localhost {NAME}\n")
-        script = _NETWORK.format(
+        script = _SERVER_SCRIPT.format(
             hosts=hosts, python=sys.executable, script=__file__, certificate=certificate, key=key
         )
-        self._running = subprocess.Popen(
+        self._server = subprocess.Popen(
             ["unshare", "--net", "--mount", "--propagation", "private", "bash", "-c", script],
             env={
                 **os.environ, **self.environment, "AWS_PROFILE": PROFILE,
-                "S3_IGNORE_SUBDOMAIN_BUCKETNAME": "true",  # or `objects` would be the bucket
+                "S3_IGNORE_SUBDOMAIN_BUCKETNAME": "true",  # otherwise `objects` is the bucket
             },
             stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
         )  # fmt: skip
-        line = self._running.stdout.readline() if self._running.stdout else ""
+        line = self._server.stdout.readline() if self._server.stdout else ""
         if not line:
-            _, words = self._running.communicate()
-            raise RuntimeError(f"no object store comes up here: {words.strip().splitlines()[-3:]}")
-        self.prefix = ("nsenter", "--target", str(self._running.pid), "--net", "--mount")
+            _, errors = self._server.communicate()
+            raise RuntimeError(
+                f"the object store does not start: {errors.strip().splitlines()[-3:]}"
+            )
+        self.prefix = ("nsenter", "--target", str(self._server.pid), "--net", "--mount")
         return self
 
     def __exit__(
@@ -97,14 +99,14 @@ class ObjectStore:
         fault: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        """End it."""
-        if self._running is not None:
-            self._running.kill()
-            self._running.communicate()
+        """End the server."""
+        if self._server is not None:
+            self._server.kill()
+            self._server.communicate()
 
 
 def main(certificate: str, key: str) -> None:
-    """Serve, and say a word when the bucket is there."""
+    """Serve the bucket, and print a line when it exists."""
     from moto.moto_server.werkzeug_app import (  # noqa: PLC0415
         DomainDispatcherApplication,
         create_backend_app,
@@ -116,10 +118,10 @@ def main(certificate: str, key: str) -> None:
     application = DomainDispatcherApplication(create_backend_app)
     server = make_server("127.0.0.1", 443, application, threaded=True, ssl_context=context)
     threading.Thread(target=server.serve_forever, daemon=True).start()
-    import boto3  # type: ignore[import-untyped] # noqa: PLC0415 - its types are a package more
+    import boto3  # type: ignore[import-untyped] # noqa: PLC0415 - its types need another package
 
     boto3.client("s3", endpoint_url=f"https://{NAME}").create_bucket(Bucket=BUCKET)
-    sys.stderr = open(os.devnull, "w")  # noqa: PTH123, SIM115 - a line a request, which nobody reads
+    sys.stderr = open(os.devnull, "w")  # noqa: PTH123, SIM115 - moto logs each request
     print("ready", flush=True)  # noqa: T201
     threading.Event().wait()
 

@@ -1,9 +1,10 @@
-"""A computer with a rig, for pages that need root and a unit: a container with a service manager.
+"""Boot a container with systemd and an emulated rig, for pages that need root and a unit.
 
-What to use when: `RigsComputer`, a context; `prefix` brings a command into it. systemd-nspawn
-boots an overlay of this computer's own root, of which nothing is written to. In it the ports
-that config/rig-raspberrypi.yaml names lead to the ptys of `gyrorigd emulate`. It has this
-computer's network, since what a page installs comes from a package index.
+What to use when: `RigContainer` is a context manager. Its `prefix` runs a command in the
+container. systemd-nspawn boots an overlay of the root folder of this computer and does not write
+to that folder. In the container, the ports of config/rig-raspberrypi.yaml are links to the ptys of
+`gyrorigd emulate`. The container uses the network of this computer, because the pages install
+packages from an index.
 """
 
 import contextlib
@@ -19,11 +20,11 @@ from types import TracebackType
 from gyrorig_daemon.config import load_rig
 
 ROOT = Path(__file__).resolve().parents[2]
-CHECKOUT = Path("/root/gyrorig")  # inside
-STARTED_WITHIN_S = 180.0
-ENDED_WITHIN_S = 30.0
-SYSTEM_PATH = "/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin"  # as sudo's own
-_OVERLAY = """
+CHECKOUT = Path("/root/gyrorig")  # in the container
+START_TIMEOUT_S = 180.0
+STOP_TIMEOUT_S = 30.0
+SYSTEM_PATH = "/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin"  # as sudo sets it
+_BOOT_SCRIPT = """
 set -e
 mount -t tmpfs tmpfs {work}
 mkdir {work}/up {work}/wk {work}/m
@@ -38,8 +39,8 @@ exec setpriv --pdeathsig KILL systemd-nspawn -D {work}/m --register=no --keep-un
   -M gyrorig-docs -b --console=pipe --resolv-conf=off --bind={clone}:{checkout} {binds} \
   systemd.unit=multi-user.target </dev/null >{log} 2>&1
 """
-# Ports as udev makes them; the emulator's are ptys.
-_PORTS = """
+# Makes the ports that udev would make; they are links to the ptys of the emulator.
+_PORTS_SCRIPT = """
 set -e
 for _ in $(seq 600); do [ -e /run/rig/ptu -a -e /run/rig/board-{board} ] && break; sleep 0.1; done
 for pair in ptu={ptu} board-{board}={port}; do
@@ -51,26 +52,26 @@ ln -s $(readlink /run/rig/ptu) /dev/ttyUSB0
 """
 
 
-class DoesNotBootError(Exception):
-    """This computer has all that a container needs, and none comes up."""
+class ContainerBootError(Exception):
+    """The container does not boot, although this computer meets all requirements."""
 
 
-class RigsComputer:
+class RigContainer:
     """A running container."""
 
-    # Who types is root already, and has what sudo would give.
+    # The commands run as root already, with the path that sudo would set.
     shell = f'sudo() {{ env PATH={SYSTEM_PATH} "$@"; }}\n'
 
     def __init__(self, folder: Path, clone: Path) -> None:
-        """Prepare it.
+        """Set the environment of the commands.
 
         Args:
-            folder: an empty one, for what it writes down.
-            clone: of the checkout, for its user to stand in.
+            folder: an empty folder for the overlay and the console log.
+            clone: a clone of the checkout, the working folder of the user.
         """
         self._folder = folder
         self._clone = clone
-        self._running: list[subprocess.Popen[bytes]] = []
+        self._processes: list[subprocess.Popen[bytes]] = []
         self.checkout = CHECKOUT
         self.prefix: tuple[str, ...] = ()
         environment = {name: value for name, value in os.environ.items() if name != "TMPDIR"}
@@ -83,28 +84,28 @@ class RigsComputer:
         }
 
     @staticmethod
-    def why_not() -> str:
-        """Return why there can be no such computer here, "" where there can."""
+    def find_missing_requirement() -> str:
+        """Return which requirement this computer does not meet, or an empty text."""
         if os.geteuid() != 0:
             return "a container needs root"
         packages = {"systemd-nspawn": "systemd-container", "nsenter": "util-linux"}
         for program, package in packages.items():
             if shutil.which(program) is None:
-                return f"no {program} here: it comes with the package {package}"
+                return f"{program} is not installed: install the package {package}"
         return ""
 
-    def __enter__(self) -> "RigsComputer":
-        """Boot, and plug the rig in.
+    def __enter__(self) -> "RigContainer":
+        """Boot the container and connect the emulated rig.
 
         Raises:
-            DoesNotBootError: it does not come up.
-            RuntimeError: the emulated rig does not.
+            ContainerBootError: the container does not boot.
+            RuntimeError: the emulated rig does not start.
         """
         try:
             self._boot()
-            self._plug_in()
+            self._connect_rig()
         except BaseException:
-            self._end()
+            self._stop()
             raise
         return self
 
@@ -114,30 +115,36 @@ class RigsComputer:
         fault: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        """Switch it off."""
-        self._end()
+        """Shut the container down."""
+        self._stop()
 
     def _boot(self) -> None:
         work = self._folder / "work"
         work.mkdir()
-        # Programs and packages at the very paths that their first lines name
-        held = {ROOT, Path(sys.prefix), Path(sys.base_prefix)}
-        binds = [f"--bind-ro={path}" for path in sorted(held) if not _is_of_the_system(path)]
-        script = _OVERLAY.format(
-            work=work, clone=self._clone, checkout=CHECKOUT, log=self._log, binds=" ".join(binds)
+        # Scripts name their interpreter by its path, so these folders keep their paths.
+        folders = {ROOT, Path(sys.prefix), Path(sys.base_prefix)}
+        binds = [f"--bind-ro={path}" for path in sorted(folders) if not _is_in_usr(path)]
+        script = _BOOT_SCRIPT.format(
+            work=work,
+            clone=self._clone,
+            checkout=CHECKOUT,
+            log=self._console,
+            binds=" ".join(binds),
         )
-        outside = subprocess.Popen(
+        container = subprocess.Popen(
             ["unshare", "--mount", "--propagation", "private", "bash", "-c", script]
         )
-        self._running.append(outside)
-        self._until(lambda: bool(_manager_of(outside.pid)))
+        self._processes.append(container)
+        self._wait_until(lambda: bool(_find_manager_pid(container.pid)))
         self.prefix = (
-            "nsenter", "--target", str(_manager_of(outside.pid)), "--mount", "--uts", "--ipc",
-            "--pid",
+            "nsenter", "--target", str(_find_manager_pid(container.pid)), "--mount", "--uts",
+            "--ipc", "--pid",
         )  # fmt: skip
-        self._until(lambda: self._say("systemctl", "is-system-running") in ("running", "degraded"))
+        self._wait_until(
+            lambda: self._run("systemctl", "is-system-running") in ("running", "degraded")
+        )
 
-    def _plug_in(self) -> None:
+    def _connect_rig(self) -> None:
         config = load_rig(self._clone / "config" / "rig-raspberrypi.yaml")
         (board,) = config.boards
         emulated = self._clone / "emulated.yaml"
@@ -147,65 +154,67 @@ class RigsComputer:
             f"boards: [{{id: {board.id}, port: emulated, baud: {board.baud}}}]\n"
             "emulator: {seed: 1, homed: false}\n"
         )
-        with self._log.open("ab") as log:
+        with self._console.open("ab") as log:
             emulator = subprocess.Popen(
                 [*self.prefix, "gyrorigd", "emulate", "--links", "/run/rig", "--config",
                  str(CHECKOUT / emulated.name)],
                 env=self.environment, stdin=subprocess.DEVNULL, stdout=log, stderr=log,
             )  # fmt: skip
-        self._running.append(emulator)
-        made = _PORTS.format(board=board.id, ptu=config.ptu.port, port=board.port)
-        output = self._say("bash", "-c", made)
+        self._processes.append(emulator)
+        script = _PORTS_SCRIPT.format(board=board.id, ptu=config.ptu.port, port=board.port)
+        output = self._run("bash", "-c", script)
         if output or emulator.poll() is not None:
-            raise RuntimeError(f"the rig is not there: {output} {self._words()}")
+            raise RuntimeError(f"the emulated rig does not start: {output} {self._read_console()}")
 
     @property
-    def _log(self) -> Path:
+    def _console(self) -> Path:
         return self._folder / "console.txt"
 
-    def _words(self) -> str:
-        text = self._log.read_text(errors="replace") if self._log.exists() else ""
+    def _read_console(self) -> str:
+        """Return the last lines of the console."""
+        text = self._console.read_text(errors="replace") if self._console.exists() else ""
         return str(text.strip().splitlines()[-5:])
 
-    def _say(self, *line: str) -> str:
-        ended = subprocess.run(
+    def _run(self, *line: str) -> str:
+        """Run a command in the container, and return its output."""
+        process = subprocess.run(
             [*self.prefix, *line], env=self.environment, stdin=subprocess.DEVNULL,
             capture_output=True, text=True, check=False,
         )  # fmt: skip
-        return (ended.stdout + ended.stderr).strip()
+        return (process.stdout + process.stderr).strip()
 
-    def _until(self, holds: Callable[[], bool]) -> None:
-        end_s = time.monotonic() + STARTED_WITHIN_S
-        while not holds():
-            if self._running[0].poll() is not None or time.monotonic() > end_s:
-                raise DoesNotBootError(f"no container comes up here: {self._words()}")
+    def _wait_until(self, is_true: Callable[[], bool]) -> None:
+        deadline_s = time.monotonic() + START_TIMEOUT_S
+        while not is_true():
+            if self._processes[0].poll() is not None or time.monotonic() > deadline_s:
+                raise ContainerBootError(f"the container does not boot: {self._read_console()}")
             time.sleep(0.1)
 
-    def _end(self) -> None:
-        for process in reversed(self._running):  # the container, on SIGTERM, shuts down
+    def _stop(self) -> None:
+        for process in reversed(self._processes):  # the container shuts down on SIGTERM
             process.terminate()
             try:
-                process.wait(ENDED_WITHIN_S)
+                process.wait(STOP_TIMEOUT_S)
             except subprocess.TimeoutExpired:
                 process.kill()
                 process.wait()
-        self._running = []
-        # what it leaves of its control groups, where --keep-unit has put them
+        self._processes = []
+        # With --keep-unit, the control groups of the container remain.
         for name in ("payload", "supervisor", "init.scope"):
             for path in sorted(Path("/sys/fs/cgroup").glob(f"**/{name}*"), reverse=True):
                 with contextlib.suppress(OSError):
                     path.rmdir()
 
 
-def _is_of_the_system(path: Path) -> bool:
+def _is_in_usr(path: Path) -> bool:
     return path.is_relative_to("/usr")
 
 
-def _manager_of(pid: int) -> int:
-    """Return the container's first process: what systemd-nspawn has begun, 0 before that."""
+def _find_manager_pid(pid: int) -> int:
+    """Return the first process of the container, or 0 if systemd-nspawn has not started it."""
     try:
         children = Path(f"/proc/{pid}/task/{pid}/children").read_text().split()
-        named = {int(child): Path(f"/proc/{child}/comm").read_text().strip() for child in children}
+        names = {int(child): Path(f"/proc/{child}/comm").read_text().strip() for child in children}
     except OSError:
         return 0
-    return next((child for child, name in named.items() if name == "systemd"), 0)
+    return next((child for child, name in names.items() if name == "systemd"), 0)

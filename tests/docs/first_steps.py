@@ -1,9 +1,10 @@
 # ruff: noqa: T201
-"""How long a stranger takes, from a fresh clone: `python tests/docs/first_steps.py`.
+"""Measure the time that a new user needs: `python tests/docs/first_steps.py`.
 
-To the first report, to a calibration of somebody else's measurement (BROAD, where it is beside the
-checkout or in $GYRORIG_DATA), and to a calibration applied in C. Counts the commands typed, and the
-seconds by the clock and of the processor. Needs a package index, or what pip has kept of one.
+The user starts with a fresh clone. The script measures the time until the first report, until a
+calibration from data of others, and until a calibration is applied in C. The data are BROAD, next
+to the checkout or in $GYRORIG_DATA; without them, the script omits this step. The script counts
+commands, elapsed seconds and seconds of CPU time. It needs a package index or the cache of pip.
 """
 
 import os
@@ -30,29 +31,31 @@ int main(void) {
 """
 
 
-class Course:
-    """Commands typed so far, and what they cost."""
+class NewUser:
+    """A user who types commands, and the time that they need."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
         self.commands = 0
-        self.begun_s = time.monotonic()
-        self.begun_cpu_s = self._cpu_s()
+        self.start_s = time.monotonic()
+        self.start_cpu_s = self._cpu_s()
 
-    def type(self, line: str) -> str:
-        """Run one command line and return what it printed."""
+    def run_command(self, line: str) -> str:
+        """Run one command line, and return its output."""
         self.commands += 1
         process = subprocess.run(
             ["bash", "-c", line], cwd=self.folder, capture_output=True, text=True, check=False
         )
         if process.returncode not in (0, 4):
-            raise SystemExit(f"{line}: left with {process.returncode}: {process.stderr[-500:]}")
+            raise SystemExit(
+                f"{line}: exited with status {process.returncode}: {process.stderr[-500:]}"
+            )
         return process.stdout
 
-    def reached(self, what: str) -> None:
-        """Say what was reached."""
-        took_s, cpu_s = time.monotonic() - self.begun_s, self._cpu_s() - self.begun_cpu_s
-        print(f"{what}: {self.commands} commands, {took_s:.0f} s, {cpu_s:.0f} s of the processor")
+    def print_cost(self, result: str) -> None:
+        """Print the number of commands and the time until a result."""
+        took_s, cpu_s = time.monotonic() - self.start_s, self._cpu_s() - self.start_cpu_s
+        print(f"{result}: {self.commands} commands, {took_s:.0f} s, {cpu_s:.0f} s of CPU time")
 
     @staticmethod
     def _cpu_s() -> float:
@@ -61,27 +64,31 @@ class Course:
 
 
 def main() -> int:
-    """Walk the whole way."""
+    """Run all steps, and print the cost of each."""
     data = Path(os.environ.get("GYRORIG_DATA", ROOT.parent / "shared" / "data"))
     with tempfile.TemporaryDirectory() as name:
-        course = Course(Path(name))
-        course.type(f"git clone -q {ROOT} gyrorig")
-        course.folder = Path(name) / "gyrorig"
-        course.type("make demo")
-        course.reached("the first report")
-        course.type(". .venv/bin/activate")  # typed once; each of ours is a shell of its own
-        at = ". .venv/bin/activate; "
+        user = NewUser(Path(name))
+        user.run_command(f"git clone -q {ROOT} gyrorig")
+        user.folder = Path(name) / "gyrorig"
+        user.run_command("make demo")
+        user.print_cost("the first report")
+        user.run_command(". .venv/bin/activate")  # each command here runs in a new shell
+        activate = ". .venv/bin/activate; "
         if (data / TRIAL).is_file():
-            course.type(f"{at}gyrorig import broad {data / TRIAL} --board BROAD-1 --out 02.mcap")
-            course.type(f"{at}gyrorig solve 02.mcap")
-            course.reached("a calibration of somebody else's measurement")
-        made = "demo/calibrations/*/v0001.yaml"
-        course.type(f"{at}gyrorig export {made} --format c --name board -o board.h")
-        (course.folder / "main.c").write_text(MAIN)
-        course.type("gcc -O2 -o apply main.c -lm")
-        output = course.type("./apply")
-        course.reached("a calibration applied in C")
-        print(f"  which says {output.strip()}")
+            user.run_command(
+                f"{activate}gyrorig import broad {data / TRIAL} --board BROAD-1 --out 02.mcap"
+            )
+            user.run_command(f"{activate}gyrorig solve 02.mcap")
+            user.print_cost("a calibration from data of others")
+        calibration = "demo/calibrations/*/v0001.yaml"
+        user.run_command(
+            f"{activate}gyrorig export {calibration} --format c --name board -o board.h"
+        )
+        (user.folder / "main.c").write_text(MAIN)
+        user.run_command("gcc -O2 -o apply main.c -lm")
+        output = user.run_command("./apply")
+        user.print_cost("a calibration applied in C")
+        print(f"  its output: {output.strip()}")
     return 0
 
 

@@ -1,8 +1,8 @@
-"""Compare the output that a page prints with what a command really printed.
+"""Compare the output that a page shows with the real output of a command.
 
-Lines agree in words and order. Runs of spaces count as one. A number may differ by one unit of
-its last printed digit, because another processor rounds differently. In the page a line `...`
-stands for any lines, and `*` for any characters, for example in a file name with a date.
+Lines must agree in words and order. Several spaces count as one. A number may differ by one unit of
+its last printed digit, because another processor rounds differently. In the page, a line `...`
+matches any lines, and `*` matches any characters, for example in a file name with a date.
 """
 
 import re
@@ -14,11 +14,11 @@ ANY = "*"
 
 
 def first_difference(expected: str, printed: str) -> str:
-    """Return where the output differs from the page, or an empty text where it agrees.
+    """Return where the output differs from the page, or an empty text if it agrees.
 
     Args:
-        expected: the block of the page.
-        printed: standard output of the commands above it.
+        expected: the output block of the page.
+        printed: the standard output of the commands above the block.
     """
     wanted, lines = _lines(expected), _lines(printed)
     position, may_skip = 0, False
@@ -26,8 +26,8 @@ def first_difference(expected: str, printed: str) -> str:
         if line == SKIPPED:
             may_skip = True
             continue
-        reach = range(position, len(lines) if may_skip else min(position + 1, len(lines)))
-        match = next((k for k in reach if lines_agree(line, lines[k])), None)
+        candidates = range(position, len(lines) if may_skip else min(position + 1, len(lines)))
+        match = next((k for k in candidates if lines_agree(line, lines[k])), None)
         if match is None:
             shown = lines[position] if position < len(lines) else "nothing more"
             return f"the page has {line!r}, the command printed {shown!r}"
@@ -38,7 +38,7 @@ def first_difference(expected: str, printed: str) -> str:
 
 
 def lines_agree(expected: str, printed: str) -> bool:
-    """Return whether one line agrees with another: words exactly, numbers by tolerance."""
+    """Return whether two lines agree: words exactly, numbers within the tolerance."""
     if not re.fullmatch(_pattern(expected), printed):
         return False
     if ANY in expected:
@@ -52,7 +52,7 @@ def _lines(text: str) -> Sequence[str]:
 
 
 def _pattern(line: str) -> str:
-    """Return a regular expression for a line, with any number where it has a number."""
+    """Return a regular expression that matches the line with any numbers."""
     pieces = [re.escape(piece).replace(re.escape(ANY), ".*") for piece in _NUMBER.split(line)]
     return _NUMBER.pattern.join(pieces)
 

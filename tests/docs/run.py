@@ -1,12 +1,12 @@
 # ruff: noqa: T201
-"""Every command that the pages print, run as a reader would: `make test-docs`.
+"""Run every command that the pages print, as a reader would: `make test-docs`.
 
-Each page is gone through from the top in an empty folder of its own, with the checkout's
-`config` in it and the commands on the path; or in a fresh clone, in an environment with the
-wheel, in a container with a rig: `blocks` has how a page says so. Measured data are looked for
-beside the checkout or in $GYRORIG_DATA; without them, and where a place cannot be made, the
-commands are looked up only, and it says so. Pages that share no place go at once, two at a time:
-those on a rig wait for it most of the time.
+The test runs each page from the top. By default, it runs a page in a separate folder that contains
+only the `config` folder of the checkout. With a mark, a block runs in a fresh clone, in an
+environment with the wheel, with a bucket, or in a container with a rig (see `blocks`). Measured
+data are next to the checkout or in $GYRORIG_DATA. Without the data or the place that a block
+needs, the test does not run the block and prints the reason. Two workers run the pages, because
+the pages on a rig mostly wait. Pages that share a place run one after the other.
 """
 
 import argparse
@@ -31,27 +31,27 @@ from tests.docs.blocks import Block, DocumentError, blocks, pages  # noqa: E402
 from tests.docs.output import first_difference  # noqa: E402
 from tests.docs.places import CannotBeHereError, Place, Places  # noqa: E402
 
-PATIENCE_S = 600.0
-SERVED_WITHIN_S = 60.0
-AT_ONCE = 2
+COMMAND_TIMEOUT_S = 600.0
+SERVER_TIMEOUT_S = 60.0
+WORKERS = 2
 
 
 @dataclass(slots=True)
 class Tally:
-    """What became of the commands of one page, or of all."""
+    """The numbers of commands of one page or of all pages, and the failures."""
 
     ran: int = 0
     looked: Counter[str] = field(default_factory=Counter)
     failure: str = ""
 
     def summary(self) -> str:
-        """In words."""
+        """Return the numbers as a text."""
         looked = ", ".join(f"{reason} {count}" for reason, count in sorted(self.looked.items()))
         return f"{self.ran} run, {self.looked.total()} looked at" + (looked and f" ({looked})")
 
 
 class Reader:
-    """Somebody who follows one page."""
+    """A reader who runs the commands of one page."""
 
     def __init__(self, folder: Path, places: Places, has_data: bool) -> None:
         shutil.copytree(ROOT / "config", folder / "config")
@@ -61,26 +61,26 @@ class Reader:
         self._servers = ExitStack()
 
     def follow(self, page: Path) -> Tally:
-        """Run a page's blocks until one fails."""
+        """Run the blocks of a page until one fails."""
         tally = Tally()
         try:
             with self._servers:
                 for block in blocks(page):
-                    self._take_or_fail(block, tally)
+                    self._process_or_fail(block, tally)
         except DocumentError as fault:
             tally.failure = str(fault)
-        except OSError as fault:  # of the page itself, or when what it serves ends
+        except OSError as fault:  # the page is unreadable, or a server fails at its end
             tally.failure = f"{page.name}: {fault}"
         return tally
 
-    def _take_or_fail(self, block: Block, tally: Tally) -> None:
-        """Take a block; a file or a program that is missing is a failure of the page."""
+    def _process_or_fail(self, block: Block, tally: Tally) -> None:
+        """Process a block; the page fails if a file or a program is missing."""
         try:
-            self._take(block, tally)
+            self._process(block, tally)
         except OSError as fault:
             raise DocumentError(f"{block.where}: {fault}") from fault
 
-    def _take(self, block: Block, tally: Tally) -> None:
+    def _process(self, block: Block, tally: Tally) -> None:
         if block.how == "look":
             tally.looked[block.detail] += block.count
             return
@@ -89,62 +89,68 @@ class Reader:
             return
         try:
             place = self._places.place(block.place, self._folder)
-        except CannotBeHereError as why:
-            tally.looked[f"{block.place}: {why}"] += block.count
+        except CannotBeHereError as reason:
+            tally.looked[f"{block.place}: {reason}"] += block.count
             return
         except (RuntimeError, subprocess.CalledProcessError) as fault:
             text = " ".join(str(getattr(fault, "stderr", None) or fault).split())
-            raise DocumentError(f"{block.where}: no {block.place} to run it in: {text}") from fault
+            raise DocumentError(f"{block.where}: cannot make the {block.place}: {text}") from fault
         if block.how == "save":
             saved = place.folder / block.detail
             saved.parent.mkdir(parents=True, exist_ok=True)
             saved.write_text(block.body, encoding="utf-8")
             return
         if block.how == "serve":
-            self._serve(block, place)
+            self._start_server(block, place)
         else:
-            self._run(block, place)
+            self._run_block(block, place)
         tally.ran += block.count
 
-    def _run(self, block: Block, place: Place) -> None:
-        script = "\n".join((place.before, *block.before, block.body))
+    def _run_block(self, block: Block, place: Place) -> None:
+        script = "\n".join((place.preamble, *block.before, block.body))
         line = place.argv("bash", "-euo", "pipefail", "-c", script)
         if block.kind == "python":
-            for before in block.before:
-                self._ran(block, place, place.argv("bash", "-euc", place.before + before))
+            for command in block.before:
+                self._run_command(
+                    block, place, place.argv("bash", "-euc", place.preamble + command)
+                )
             line = place.argv("python", "-c", block.body)
-        self._ran(block, place, line)
+        self._run_command(block, place, line)
 
-    def _ran(self, block: Block, place: Place, line: list[str]) -> None:
+    def _run_command(self, block: Block, place: Place, line: list[str]) -> None:
         try:
             process = subprocess.run(
                 line, env=place.environment, stdin=subprocess.DEVNULL,
-                capture_output=True, text=True, check=False, timeout=PATIENCE_S,
+                capture_output=True, text=True, check=False, timeout=COMMAND_TIMEOUT_S,
             )  # fmt: skip
         except subprocess.TimeoutExpired:
-            raise DocumentError(f"{block.where}: not done within {PATIENCE_S:.0f} s") from None
+            raise DocumentError(
+                f"{block.where}: not finished after {COMMAND_TIMEOUT_S:.0f} s"
+            ) from None
         if process.returncode:
-            raise _left(block, process.returncode, process.stderr or process.stdout)
+            raise _exit_error(block, process.returncode, process.stderr or process.stdout)
         if block.output is not None and (fault := first_difference(block.output, process.stdout)):
             raise DocumentError(f"{block.where}: {fault}")
 
-    def _serve(self, block: Block, place: Place) -> None:
-        """Begin what goes on beside the rest of the page: one command, its own process."""
+    def _start_server(self, block: Block, place: Place) -> None:
+        """Start the one command of a block, which runs until the page ends."""
         process = subprocess.Popen(
             place.argv("bash", "-c", f"exec {block.body.strip()}"), env=place.environment,
             stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True,
         )  # fmt: skip
-        self._servers.callback(_end, process, block)
-        end_s = time.monotonic() + SERVED_WITHIN_S
-        while not _is_there(block.detail, place.folder):
+        self._servers.callback(_stop_server, process, block)
+        deadline_s = time.monotonic() + SERVER_TIMEOUT_S
+        while not _is_ready(block.detail, place.folder):
             if process.poll() is not None:
-                return  # its end is told when the page ends
-            if time.monotonic() > end_s:
-                raise DocumentError(f"{block.where}: no {block.detail} in {SERVED_WITHIN_S:.0f} s")
+                return  # `_stop_server` reports its exit status
+            if time.monotonic() > deadline_s:
+                raise DocumentError(
+                    f"{block.where}: {block.detail} is not ready after {SERVER_TIMEOUT_S:.0f} s"
+                )
             time.sleep(0.05)
 
 
-def _is_there(condition: str, folder: Path) -> bool:
+def _is_ready(condition: str, folder: Path) -> bool:
     """Return whether a path exists, or HOST:PORT answers."""
     host, colon, port = condition.rpartition(":")
     if not colon:
@@ -154,72 +160,72 @@ def _is_there(condition: str, folder: Path) -> bool:
     return False
 
 
-def _end(process: subprocess.Popen[str], block: Block) -> None:
+def _stop_server(process: subprocess.Popen[str], block: Block) -> None:
     process.terminate()
     try:
-        _, output = process.communicate(timeout=SERVED_WITHIN_S)
+        _, output = process.communicate(timeout=SERVER_TIMEOUT_S)
     except subprocess.TimeoutExpired:
         process.kill()
         process.communicate()
-        raise DocumentError(f"{block.where}: does not end when it is told to") from None
+        raise DocumentError(f"{block.where}: does not end after SIGTERM") from None
     if process.returncode:
-        raise _left(block, process.returncode, output)
+        raise _exit_error(block, process.returncode, output)
 
 
-def _left(block: Block, code: int, output: str) -> DocumentError:
+def _exit_error(block: Block, code: int, output: str) -> DocumentError:
     return DocumentError(f"{block.where}: left with {code}: {output.strip().splitlines()[-3:]}")
 
 
-def _together(followed: Sequence[Path]) -> list[list[Path]]:
-    """Return the pages in groups: those that share a place one after the other, longest first."""
+def _group_pages(paths: Sequence[Path]) -> list[list[Path]]:
+    """Return the pages in groups; pages that share a place are in one group, longest first."""
     groups: dict[str, list[Path]] = {"rig": [], "clone": [], "wheel": []}
-    for page in followed:
-        words = {block.place for block in blocks(page)} - {""}
-        groups.setdefault("+".join(sorted(words)) or str(page), []).append(page)
+    for page in paths:
+        places = {block.place for block in blocks(page)} - {""}
+        groups.setdefault("+".join(sorted(places)) or str(page), []).append(page)
     return [group for group in groups.values() if group]
 
 
-def _follow(group: Sequence[Path], data: Path) -> Tally:
-    """Follow pages one after the other, and say of each what became of it."""
-    whole = Tally()
+def _follow_group(group: Sequence[Path], data: Path) -> Tally:
+    """Run the pages of a group one after the other, and print the result of each."""
+    total = Tally()
     with Places(data) as places:
         for page in group:
-            begun_s = time.monotonic()
+            start_s = time.monotonic()
             with tempfile.TemporaryDirectory() as name:
                 tally = Reader(Path(name), places, data.is_dir()).follow(page)
-            whole.ran += tally.ran
-            whole.looked += tally.looked
-            whole.failure += tally.failure and f"{tally.failure}\n"
+            total.ran += tally.ran
+            total.looked += tally.looked
+            total.failure += tally.failure and f"{tally.failure}\n"
             if tally.ran or tally.failure:
-                took_s = time.monotonic() - begun_s
+                took_s = time.monotonic() - start_s
                 print(f"{page.relative_to(ROOT)}: {tally.summary()}, {took_s:.1f} s", flush=True)
-    return whole
+    return total
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the pages named, or all."""
+    """Run the pages of the command line, or all pages."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("pages", nargs="*", type=Path)
     options = parser.parse_args(arguments)
     data = Path(os.environ.get("GYRORIG_DATA", ROOT.parent / "shared" / "data"))
-    begun_s = time.monotonic()
-    whole = Tally()
-    followed = [path.resolve() for path in options.pages] or pages()
+    start_s = time.monotonic()
+    total = Tally()
+    paths = [path.resolve() for path in options.pages] or pages()
     try:
-        groups = _together(followed)
+        groups = _group_pages(paths)
     except DocumentError as fault:
         parser.exit(1, f"{fault}\n")
-    with ThreadPoolExecutor(AT_ONCE) as pool:
-        for tally in pool.map(lambda group: _follow(group, data), groups):
-            whole.ran += tally.ran
-            whole.looked += tally.looked
-            whole.failure += tally.failure
-    sys.stderr.write(whole.failure)
+    with ThreadPoolExecutor(WORKERS) as pool:
+        for tally in pool.map(lambda group: _follow_group(group, data), groups):
+            total.ran += tally.ran
+            total.looked += tally.looked
+            total.failure += tally.failure
+    sys.stderr.write(total.failure)
     print(
-        f"{len(followed)} pages, {whole.summary()}, {whole.failure.count(chr(10))} pages failed, "
-        f"{time.monotonic() - begun_s:.0f} s"
+        f"{len(paths)} pages, {total.summary()}, {total.failure.count(chr(10))} pages failed, "
+        f"{time.monotonic() - start_s:.0f} s"
     )
-    return 1 if whole.failure else 0
+    return 1 if total.failure else 0
 
 
 if __name__ == "__main__":

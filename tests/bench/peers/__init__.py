@@ -1,6 +1,6 @@
-"""Other ways of calibrating a gyroscope, on the same recordings as ours.
+"""Other methods that calibrate a gyroscope, for a comparison on the same recordings.
 
-`recording` makes what all are given, `methods` and `factor_graph` are the peers on a pan-tilt
-unit, `turns` is imucal's kind of session, `measured` the recordings of others, `figures` the
-tables. Each peer is judged on what it estimates, and says what it cannot see.
+`recording` makes the data of all methods. `methods` and `factor_graph` contain the peers for a
+pan-tilt unit. `turns` simulates a session for imucal. `measured` uses recordings of others, and
+`figures` makes the tables. The bench compares a peer only in the parameters that it estimates.
 """

@@ -1,8 +1,8 @@
-"""GTSAM on the same rate model: one custom factor for each second, analytic Jacobians.
+"""Fit the same rate model with GTSAM: one custom factor per second, with analytic Jacobians.
 
-What to use when: `installed` first; then `solve`. GTSAM is no dependency of this project: where
-it is not installed the bench says so and goes on. Its own IMU factors carry no gain,
-so the model is ours to write; a factor a sample would only be slower.
+What to use when: call `is_installed` first, then `solve`. GTSAM is not a dependency of this
+project, and the bench omits it if it is not installed. The IMU factors of GTSAM have no gain, so
+this module contains the model. A factor per sample would be slower.
 """
 
 import contextlib
@@ -20,18 +20,18 @@ from tests.bench.peers.recording import Table
 PACKAGE = "gtsam"
 
 
-def installed() -> bool:
-    """True where GTSAM can be imported."""
+def is_installed() -> bool:
+    """Return whether GTSAM is installed."""
     return find_spec(PACKAGE) is not None
 
 
-def version() -> str:
-    """Which one."""
+def read_version() -> str:
+    """Return the version of GTSAM."""
     return installed_version(PACKAGE)
 
 
 def solve(table: Table) -> FloatArray:
-    """Return G, bias and offset by GTSAM's Levenberg-Marquardt, and the roots of its marginals."""
+    """Fit gain, bias and time offset with GTSAM; return them and their standard uncertainties."""
     gtsam = import_module(PACKAGE)
     stage = CubicSpline(table.time_s, table.stage_rad_s)
     slope = stage.derivative()
@@ -40,19 +40,19 @@ def solve(table: Table) -> FloatArray:
     at = np.flatnonzero(table.use)
     for part in np.array_split(at, max(1, round(at.size / table.rate_hz))):
         noise = gtsam.noiseModel.Diagonal.Sigmas(np.tile(sigma, part.size))
-        error = partial(_error, stage, slope, table.time_s[part], table.measured_rad_s[part])
-        graph.add(gtsam.CustomFactor(noise, [key], error))
+        residual = partial(_residual, stage, slope, table.time_s[part], table.measured_rad_s[part])
+        graph.add(gtsam.CustomFactor(noise, [key], residual))
     start = gtsam.Values()
     start.insert(key, np.concatenate([np.eye(3).ravel(), np.zeros(4)]))
     estimate = gtsam.LevenbergMarquardtOptimizer(graph, start).optimize()
     std = np.full(13, np.nan)
-    # Where a direction is hidden it refuses the covariance, and does not say which.
+    # GTSAM gives no covariance if a direction is unobservable, and does not report the direction.
     with contextlib.suppress(RuntimeError):
         std = np.sqrt(np.diag(gtsam.Marginals(graph, estimate).marginalCovariance(key)))
     return np.stack([estimate.atVector(key), std])
 
 
-def _error(
+def _residual(
     stage: Any,
     slope: Any,
     time_s: FloatArray,
@@ -61,15 +61,15 @@ def _error(
     values: Any,
     jacobians: list[FloatArray] | None,
 ) -> FloatArray:
-    """Return what the model of one second has too much, and its derivatives."""
+    """Return the residuals of one second (model minus measurement), and their derivatives."""
     x = values.atVector(factor.keys()[0])
     gain = x[:9].reshape(3, 3)
-    turned = stage(time_s - x[12])
+    rate = stage(time_s - x[12])
     if jacobians is not None:
-        by = np.zeros((time_s.size, 3, 13))
+        jacobian = np.zeros((time_s.size, 3, 13))
         for row in range(3):
-            by[:, row, 3 * row : 3 * row + 3] = turned
-            by[:, row, 9 + row] = 1.0
-        by[:, :, 12] = -slope(time_s - x[12]) @ gain.T
-        jacobians[0] = by.reshape(-1, 13)
-    return np.asarray((turned @ gain.T + x[9:12] - measured_rad_s).ravel())
+            jacobian[:, row, 3 * row : 3 * row + 3] = rate
+            jacobian[:, row, 9 + row] = 1.0
+        jacobian[:, :, 12] = -slope(time_s - x[12]) @ gain.T
+        jacobians[0] = jacobian.reshape(-1, 13)
+    return np.asarray((rate @ gain.T + x[9:12] - measured_rad_s).ravel())

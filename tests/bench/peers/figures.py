@@ -1,8 +1,8 @@
-"""The tables of the bench: errors in units of the bound, and times as ratios.
+"""Make the tables of the bench: errors in units of the bound, and ratios of times.
 
-What to use when: `accuracy` for one program and one kind of knowledge over many seeds,
-`hidden_column` for what is said of a column that the program does not show, `turned` for
-imucal's kind of session, `times` for how long each takes on 75 s at 800 Hz.
+What to use when: `run_methods` and `format_accuracy` for one program and one kind of reference,
+`format_hidden_column` for a column that the program does not determine, `measure_turn_errors` for
+a session of imucal, `measure_times` for the CPU times of 75 s at 800 Hz.
 """
 
 import time
@@ -13,169 +13,187 @@ import numpy as np
 from docs.markdown import number, table
 from tests.bench.accuracy.profile import FloatArray
 from tests.bench.peers import turns
-from tests.bench.peers.methods import OURS, integrated, ours, peers
-from tests.bench.peers.recording import GROUPS, SWEEPS, Recording, Table, bound, groups, record
+from tests.bench.peers.methods import OURS, fit_ours, integrate_rates, list_peers
+from tests.bench.peers.recording import (
+    GROUPS,
+    SWEEPS,
+    Recording,
+    Table,
+    compute_bound,
+    record,
+    split_groups,
+)
 
 from gyrorig_solver.estimate.paper.paper_matrices import gain_by_pseudoinverse
 
-RATE_HZ, BANDWIDTH_HZ = 100.0, 25.0  # of the runs whose errors are judged
-FAST_HZ, FAST_BANDWIDTH_HZ = 800.0, 110.0  # of the one that is timed
+RATE_HZ, BANDWIDTH_HZ = 100.0, 25.0  # of the runs for the errors
+FAST_HZ, FAST_BANDWIDTH_HZ = 800.0, 110.0  # of the run for the times
 MICRO = 1e6
-LARGE = 1e3  # a ratio from here on has two digits that count
+LARGE = 1e3  # ratios from here have two significant digits
 EQ_7 = "eq. 7 alone (pseudo-inverse of given angles)"
 
 Estimates = dict[str, FloatArray]
-"""By method: what was found less what is true, and what it states, shape (runs, 2, 13)."""
+"""By method: the errors and the stated standard deviations, shape (runs, 2, 13)."""
 
 
-def runs(
+def run_methods(
     program: str, seeds: int, known: bool, columns: tuple[int, ...]
 ) -> tuple[Estimates, FloatArray]:
-    """Return each method's errors over the seeds, and the bounds, shape (runs, 13)."""
+    """Return the errors of each method for all seeds, and the bounds, shape (runs, 13)."""
     errors_by_method: dict[str, list[FloatArray]] = {}
     bounds = []
     for seed in range(seeds):
         trial = record(program, seed, RATE_HZ, BANDWIDTH_HZ, known)
-        bounds.append(bound(trial, columns))
-        for name, run in _ways():
+        bounds.append(compute_bound(trial, columns))
+        for name, run in _list_methods():
             errors_by_method.setdefault(name, []).append(run(trial) - [trial.truth, np.zeros(13)])
     return {name: np.array(errors) for name, errors in errors_by_method.items()}, np.array(bounds)
 
 
-def accuracy(errors: Estimates, bounds: FloatArray, known: bool) -> str:
-    """The rms error of each group in units of the bound; the offset in us where it is hidden.
+def format_accuracy(errors: Estimates, bounds: FloatArray, known: bool) -> str:
+    """Return the table of the rms errors of each group, in units of the bound.
 
-    With answers only, when in an exchange the unit looked at its count is known to nobody: that
-    shift is no method's fault, so the offset is then given as it is.
+    Position replies do not determine at which moment of an exchange the unit reads its count. No
+    method can estimate this moment. With replies only, the table therefore gives the rms error of
+    the time offset in us.
     """
-    limitations = {peer.name: peer.limitation for peer in peers()}
+    limitations = {peer.name: peer.limitation for peer in list_peers()}
     rows = []
     for name, method_errors in errors.items():
-        error, stated = method_errors[:, 0], method_errors[:, 1]
+        error, stated_std = method_errors[:, 0], method_errors[:, 1]
         cells = []
-        for at, (off, least) in enumerate(zip(_by_group(error), _by_group(bounds), strict=True)):
-            if not np.all(np.isfinite(off)):
+        for at, (group_error, group_bound) in enumerate(
+            zip(_split_runs(error), _split_runs(bounds), strict=True)
+        ):
+            if not np.all(np.isfinite(group_error)):
                 cells.append("-")
             elif at == len(GROUPS) - 1 and not known:
-                cells.append(f"{number(MICRO * _rms(off), 0)} us")
-            elif not np.all(np.isfinite(least)):
+                cells.append(f"{number(MICRO * _rms(group_error), 0)} us")
+            elif not np.all(np.isfinite(group_bound)):
                 cells.append("-")
             else:
-                cells.append(ratio(_rms(off / least)))
-        units = (error / stated)[:, :9]
-        is_known = np.isfinite(units) & np.isfinite(bounds[:, :9])
-        cells.append(ratio(_rms(units[is_known])) if is_known.any() else "no std stated")
+                cells.append(format_ratio(_rms(group_error / group_bound)))
+        normalised = (error / stated_std)[:, :9]
+        is_known = np.isfinite(normalised) & np.isfinite(bounds[:, :9])
+        cells.append(
+            format_ratio(_rms(normalised[is_known])) if is_known.any() else "no std stated"
+        )
         rows.append([name, *cells, limitations.get(name, "")])
     head = ["rms error / bound", *GROUPS, "gain: rms error / stated std", "limitation"]
     return table(head, rows)
 
 
-def hidden_column(errors: Estimates) -> str:
-    """What each method says of the roll column where nothing turned about roll."""
+def format_hidden_column(errors: Estimates) -> str:
+    """Return the table of the roll column for a motion that does not determine it."""
     rows = []
     for name, method_errors in errors.items():
-        column = _by_group(method_errors[:, 0])[1]
-        words = "no value"
+        column = _split_runs(method_errors[:, 0])[1]
+        result = "no value"
         if np.all(np.isfinite(column)):
-            words = f"a value; the rms error of its three entries is {number(_rms(column), 3)}"
-        rows.append([name, words])
+            result = f"a value; the rms error of its three entries is {number(_rms(column), 3)}"
+        rows.append([name, result])
     return table(["method", "result for the roll column"], rows)
 
 
-def turned(seeds: int) -> str:
-    """imucal and our turns on its own kind of session, in units of the bound."""
+def measure_turn_errors(seeds: int) -> str:
+    """Return the table of the rms errors of imucal and of our fit, in units of the bound."""
     errors_by_method: dict[str, list[FloatArray]] = {}
     for seed in range(seeds):
         turn_session = turns.session(seed, RATE_HZ, BANDWIDTH_HZ)
-        least = turns.bound(turn_session)
-        for name, run in _turn_ways(turn_session).items():
-            errors_by_method.setdefault(name, []).append((run() - turn_session.truth) / least)
+        bounds = turns.compute_bound(turn_session)
+        for name, run in _list_turn_methods(turn_session).items():
+            errors_by_method.setdefault(name, []).append((run() - turn_session.truth) / bounds)
     rows = []
-    for name, units in errors_by_method.items():
-        all_of = np.array(units)
-        rows.append([name, ratio(_rms(all_of[:, :9])), ratio(_rms(all_of[:, 9:]))])
+    for name, run_errors in errors_by_method.items():
+        normalised = np.array(run_errors)
+        rows.append(
+            [name, format_ratio(_rms(normalised[:, :9])), format_ratio(_rms(normalised[:, 9:]))]
+        )
     return table(["rms error / bound", "gain", "bias"], rows)
 
 
-def times(repeat: int) -> str:
-    """CPU time of each method on 75 s at 800 Hz, from arrays in memory to parameters.
+def measure_times(repeat: int) -> str:
+    """Return the table of CPU times for 75 s at 800 Hz, from arrays in memory to parameters.
 
-    The peers' table of the unit's angles is ready beforehand; ours is made within its time.
+    The times of the peers do not include their tables of the angles of the unit. The time of our
+    fit includes its reference.
     """
     trial = record(SWEEPS, 0, FAST_HZ, FAST_BANDWIDTH_HZ, known=False)
-    measured_rad, stage_rad = (np.ascontiguousarray(side.T) for side in integrated(trial.table))
-    ways: dict[str, Callable[[], object]] = {
+    measured_rad, stage_rad = (
+        np.ascontiguousarray(side.T) for side in integrate_rates(trial.table)
+    )
+    methods: dict[str, Callable[[], object]] = {
         EQ_7: lambda: gain_by_pseudoinverse(measured_rad, stage_rad),
-        OURS: lambda: ours(trial),
+        OURS: lambda: fit_ours(trial),
         f"{OURS}, its reference alone": trial.reference,
-        **{peer.name: partial(peer.run, trial.table) for peer in peers()},
-        **_turn_ways(turns.session(0, FAST_HZ, FAST_BANDWIDTH_HZ)),
+        **{peer.name: partial(peer.run, trial.table) for peer in list_peers()},
+        **_list_turn_methods(turns.session(0, FAST_HZ, FAST_BANDWIDTH_HZ)),
     }
-    measured = _cpu_s(ways, repeat)
+    measured_s = _measure_cpu_s(methods, repeat)
     rows = [
         [
             name,
-            number(1e3 * taken, 2),
+            number(1e3 * time_s, 2),
             *(
-                ratio(taken / measured[reference]) if reference in measured else "-"
+                format_ratio(time_s / measured_s[reference]) if reference in measured_s else "-"
                 for reference in (EQ_7, turns.IMUCAL, OURS)
             ),
         ]
-        for name, taken in measured.items()
+        for name, time_s in measured_s.items()
     ]
     head = ["method", "processor time, ms"]
     head += [f"time / time of {reference}" for reference in ("eq. 7 alone", "imucal", OURS)]
     return table(head, rows)
 
 
-def ratio(value: float) -> str:
-    """Three digits or so, without an exponent."""
+def format_ratio(value: float) -> str:
+    """Return a ratio with about three digits and without an exponent."""
     if value >= LARGE:
         return number(float(f"{value:.2g}"), 0)
     return number(value, 0 if value >= 100.0 else 2 if value >= 0.1 else 4)
 
 
-def spread_percent(seeds: int) -> float:
-    """How far an rms over so many runs and three entries is from the true one, one sigma."""
+def rms_uncertainty_percent(seeds: int) -> float:
+    """Return the standard uncertainty of an rms over the runs and three entries."""
     return 100.0 / float(np.sqrt(2.0 * 3.0 * seeds))
 
 
-def _ways() -> list[tuple[str, Callable[[Recording], FloatArray]]]:
-    """Ours, then every peer that runs here."""
-    return [(OURS, ours), *((peer.name, _on_table(peer.run)) for peer in peers())]
+def _list_methods() -> list[tuple[str, Callable[[Recording], FloatArray]]]:
+    """Return our method and every installed peer."""
+    return [(OURS, fit_ours), *((peer.name, _use_table(peer.run)) for peer in list_peers())]
 
 
-def _on_table(run: Callable[[Table], FloatArray]) -> Callable[[Recording], FloatArray]:
+def _use_table(run: Callable[[Table], FloatArray]) -> Callable[[Recording], FloatArray]:
     return lambda trial: run(trial.table)
 
 
-def _turn_ways(turn_session: turns.Session) -> dict[str, Callable[[], FloatArray]]:
-    """Ours by known turns and, where it is installed, imucal; both made ready."""
+def _list_turn_methods(turn_session: turns.Session) -> dict[str, Callable[[], FloatArray]]:
+    """Return our fit of known turns and, if installed, imucal; both have their data."""
     samples, reference = turn_session.samples, turn_session.reference
-    ways: dict[str, Callable[[], FloatArray]] = {
-        turns.OURS: lambda: turns.by_turns(samples, reference)
+    methods: dict[str, Callable[[], FloatArray]] = {
+        turns.OURS: lambda: turns.fit_known_turns(samples, reference)
     }
     if turns.imucal_installed():
-        ways[turns.IMUCAL] = turns.Imucal(turn_session).compute
-    return ways
+        methods[turns.IMUCAL] = turns.Imucal(turn_session).compute
+    return methods
 
 
-def _cpu_s(ways: dict[str, Callable[[], object]], repeat: int) -> dict[str, float]:
-    """Return median CPU times, in turns, so that a busy machine spoils all alike."""
-    taken: dict[str, list[float]] = {name: [] for name in ways}
+def _measure_cpu_s(methods: dict[str, Callable[[], object]], repeat: int) -> dict[str, float]:
+    """Return the median CPU times; the methods alternate, so that other load affects all."""
+    times_s: dict[str, list[float]] = {name: [] for name in methods}
     for _ in range(repeat + 1):
-        for name, run in ways.items():
-            begun = time.process_time()
+        for name, run in methods.items():
+            start_s = time.process_time()
             run()
-            taken[name].append(time.process_time() - begun)
+            times_s[name].append(time.process_time() - start_s)
     return {
-        name: float(np.median(times_s[1:])) for name, times_s in taken.items()
-    }  # the first warms up
+        name: float(np.median(method_times_s[1:])) for name, method_times_s in times_s.items()
+    }  # the first one is a warm-up
 
 
-def _by_group(values: FloatArray) -> list[FloatArray]:
-    """Split runs of 13 values into the groups, each (runs, entries)."""
-    parts = [groups(value) for value in values]
+def _split_runs(values: FloatArray) -> list[FloatArray]:
+    """Split runs of 13 values into the groups of parameters, each (runs, entries)."""
+    parts = [split_groups(value) for value in values]
     return [np.array([part[k] for part in parts]) for k in range(len(GROUPS))]
 
 

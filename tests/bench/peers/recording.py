@@ -1,8 +1,8 @@
-"""What every method is given: the same samples, and the same knowledge of the unit.
+"""Simulate the data of every method: the same samples and the same reference of the unit.
 
-Two kinds of knowledge. `known`: the unit's angles are given exactly, so that only the
-estimators differ. `answers`: a recording as it is, orders and answered counts; each peer then
-makes its own reference of the counts, as its users do.
+There are two kinds of reference. With `known`, every method gets the true angles of the unit, so
+that only the estimators differ. Otherwise, a recording contains commands and position replies. The
+peers then interpolate the replies, as their users do.
 """
 
 from dataclasses import dataclass
@@ -23,12 +23,12 @@ from gyrorig_solver.reference import ReferenceMotion
 BoolArray = NDArray[np.bool_]
 BAUD = 115_200.0
 SECONDS = 75.0
-HEAD_S = 0.5  # of answers before the first sample
-TABLE_HZ = 1000.0  # of the exact angles, where they are given
-# Low-pass of both sides before the counts are differentiated: a step over 20 ms is 2.6 deg/s.
+HEAD_S = 0.5  # of replies before the first sample
+TABLE_HZ = 1000.0  # for the differences of the true angles
+# Low-pass of both sides before the differentiation: one step in 20 ms is 2.6 deg/s.
 SMOOTH_S = 0.05
 
-# Pan at tilts of both signs, which shows all twelve; and what the paper's authors did.
+# Pan sweeps at tilts of both signs determine all twelve parameters; CROSS is the paper's cycle.
 SWEEPS = """
 schema: gyrorig/program/1
 name: sweeps
@@ -89,68 +89,68 @@ TAU = 12
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Table:
-    """What a peer works on: both sides' rates at the samples, and where they may be used."""
+    """The data of a peer: measured and reference rates at the samples, and a mask."""
 
     time_s: FloatArray  # (n,)
     rate_hz: float
-    raw_rad_s: FloatArray  # (n, 3), the samples themselves
-    measured_rad_s: FloatArray  # (n, 3), smoothed as the reference was, where it had to be
-    stage_rad_s: FloatArray  # (n, 3), the reference's body rate
-    static: BoolArray  # (n,), the rest that a bias is taken from
-    use: BoolArray  # (n,), False where the reference is lost
-    pan_rad: FloatArray  # (n,), zero where there is no pan-tilt unit
+    raw_rad_s: FloatArray  # (n, 3), unfiltered samples
+    measured_rad_s: FloatArray  # (n, 3), smoothed if the reference is smoothed
+    stage_rad_s: FloatArray  # (n, 3), body rate of the reference
+    static: BoolArray  # (n,), the rest from which a peer takes the bias
+    use: BoolArray  # (n,), False if there is no reference
+    pan_rad: FloatArray  # (n,), zero without a pan-tilt unit
     tilt_rad: FloatArray  # (n,)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Recording:
-    """One run, and the truth of it."""
+    """One run and its true parameters."""
 
     board: Board
     session: Session
     counts: Counts
-    known: bool  # the unit's angles are given
+    known: bool  # the methods get the true angles of the unit
     table: Table
 
     @property
     def samples(self) -> GyroSamples:
-        """As the solver has them after reading."""
+        """The samples that our solver reads."""
         return samples_of(self.board, self.counts)
 
     def reference(self) -> ReferenceMotion:
-        """What our solver is given; made of orders and answers where angles are not known."""
+        """Return the reference of our solver: the true angles, or commands and replies."""
         if self.known:
             return ExactReference(self.session.path)
         return answered_reference(self.session)
 
     @property
     def truth(self) -> FloatArray:
-        """G row by row, the mean bias, and the lag with the low-pass' delay, shape (13,)."""
+        """The rows of G, the mean bias, and the delay with that of the low-pass, shape (13,)."""
         bias = self.counts.bias_rad_s.mean(axis=0)
         return np.concatenate([self.board.gain.ravel(), bias, [self.board.delay_s]])
 
 
 def record(program: str, seed: int, rate_hz: float, bandwidth_hz: float, known: bool) -> Recording:
-    """Return one simulated run of a program, its first 75 s.
+    """Simulate the first 75 s of a program.
 
     Args:
-        program: its text.
-        seed: boards, noise and unit of one seed are the same for both kinds of knowledge.
-        rate_hz: of the samples.
-        bandwidth_hz: of the sensor's low-pass.
-        known: whether the unit's angles are given, or its answers only.
+        program: the text of the program.
+        seed: runs with the same seed have the same board, noise and unit.
+        rate_hz: sample rate.
+        bandwidth_hz: bandwidth of the low-pass of the sensor.
+        known: whether the methods get the true angles, or only position replies.
     """
     rng = np.random.default_rng([seed, 20261121])
     session = carry_out(parse_program(program, "program"), BAUD, rng)
     board = draw_board(rate_hz, bandwidth_hz, rng)
     end_s = min(HEAD_S + SECONDS, session.end_s - HEAD_S)
     counts = sample(board, session.path, (HEAD_S, end_s), rng)
-    table = (_exact if known else _polled)(session, counts, rate_hz)
+    table = (_make_exact_table if known else _make_polled_table)(session, counts, rate_hz)
     return Recording(board, session, counts, known, table)
 
 
-def _exact(session: Session, counts: Counts, rate_hz: float) -> Table:
-    """Give the angles and rates at the samples as they were."""
+def _make_exact_table(session: Session, counts: Counts, rate_hz: float) -> Table:
+    """Return a table with the true angles and rates at the samples."""
     path, time_s, half_s = session.path, counts.time_s, 0.5 / TABLE_HZ
     angle = [path.angle_rad(axis, time_s) for axis in (0, 1)]
     after, before = (
@@ -158,27 +158,27 @@ def _exact(session: Session, counts: Counts, rate_hz: float) -> Table:
         for shift_s in (half_s, -half_s)
     )
     rate = (after - before) * TABLE_HZ
-    stage = _stage(angle[1], rate[0], rate[1])
-    return _table(session, counts, rate_hz, counts.rate_rad_s, stage, angle)
+    stage = stage_rate_rad_s(angle[1], rate[0], rate[1])
+    return _make_table(session, counts, rate_hz, counts.rate_rad_s, stage, angle)
 
 
-def _polled(session: Session, counts: Counts, rate_hz: float) -> Table:
-    """Interpolate the counts, each at the middle of its exchange, and smooth both sides alike."""
-    answers = session.answers
-    middle_s = (answers.lo_s + answers.hi_s) / 2.0
+def _make_polled_table(session: Session, counts: Counts, rate_hz: float) -> Table:
+    """Interpolate the replies between the midpoints of their exchanges; smooth both sides."""
+    replies = session.answers
+    middle_s = (replies.lo_s + replies.hi_s) / 2.0
     width = SMOOTH_S * rate_hz
     angle = []
     for axis in (0, 1):
-        is_axis = answers.axis == axis
-        steps = np.interp(counts.time_s, middle_s[is_axis], answers.steps[is_axis])
+        is_axis = replies.axis == axis
+        steps = np.interp(counts.time_s, middle_s[is_axis], replies.steps[is_axis])
         angle.append(np.asarray(steps * RAD_PER_STEP, dtype=np.float64))
     rate = [gaussian_filter1d(angles, width, order=1) * rate_hz for angles in angle]
-    stage = _stage(gaussian_filter1d(angle[1], width), rate[0], rate[1])
+    stage = stage_rate_rad_s(gaussian_filter1d(angle[1], width), rate[0], rate[1])
     measured = gaussian_filter1d(counts.rate_rad_s, width, axis=0)
-    return _table(session, counts, rate_hz, measured, stage, angle)
+    return _make_table(session, counts, rate_hz, measured, stage, angle)
 
 
-def _table(
+def _make_table(
     session: Session,
     counts: Counts,
     rate_hz: float,
@@ -199,37 +199,39 @@ def _table(
     )
 
 
-def _stage(tilt_rad: FloatArray, pan_rate: FloatArray, tilt_rate: FloatArray) -> FloatArray:
+def stage_rate_rad_s(
+    tilt_rad: FloatArray, pan_rate: FloatArray, tilt_rate: FloatArray
+) -> FloatArray:
     """R = Rz(pan) Rx(tilt): (tilt', pan' sin tilt, pan' cos tilt)."""
     return np.column_stack([tilt_rate, pan_rate * np.sin(tilt_rad), pan_rate * np.cos(tilt_rad)])
 
 
-def bound(recording: Recording, columns: tuple[int, ...] = (0, 1, 2)) -> FloatArray:
-    """Return the least standard deviations of G, bias and lag, shape (13,).
+def compute_bound(recording: Recording, columns: tuple[int, ...] = (0, 1, 2)) -> FloatArray:
+    """Return the Cramer-Rao bound of G, bias and delay, shape (13,).
 
-    The Cramer-Rao bound with the unit's motion known and the noise that was drawn; entries of
-    columns of G that are left out are nan.
+    The bound is for the true motion of the unit and the simulated noise levels. The entries of the
+    other columns of G are NaN.
     """
     board, counts = recording.board, recording.counts
     begin_s, n = float(counts.time_s[0]), counts.time_s.size
     rate = seen(board, recording.session.path, begin_s, n)
     slope = seen(board, recording.session.path, begin_s, n, slope=True)
-    shown = [3 * row + column for row in range(3) for column in columns] + [9, 10, 11, TAU]
+    estimated = [3 * row + column for row in range(3) for column in columns] + [9, 10, 11, TAU]
     information = np.zeros((13, 13))
     for row in range(3):
         design = np.column_stack([rate[:, columns], np.ones(n), -slope @ board.gain[row]])
         cover = Covariance(board.levels[row], board.bandwidth_hz, board.rate_hz, n)
         at = [*(3 * row + column for column in columns), 9 + row, TAU]
         information[np.ix_(at, at)] += design.T @ cover.weigh(design)
-    inner = information[np.ix_(shown, shown)]
+    inner = information[np.ix_(estimated, estimated)]
     unit = 1.0 / np.sqrt(np.diag(inner))
     variance = np.diag(np.linalg.inv(inner * np.outer(unit, unit))) * unit**2
     std = np.full(13, np.nan)
-    std[shown] = np.sqrt(variance)
+    std[estimated] = np.sqrt(variance)
     return std
 
 
-def groups(values: FloatArray) -> list[FloatArray]:
-    """Return the entries of each of `GROUPS`, from the order of `Recording.truth`."""
+def split_groups(values: FloatArray) -> list[FloatArray]:
+    """Split values in the order of `Recording.truth` into the parameters of `GROUPS`."""
     gain = values[:9].reshape(3, 3)
     return [*gain.T, values[9:12], values[12:]]
