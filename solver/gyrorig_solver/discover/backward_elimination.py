@@ -1,9 +1,9 @@
 """Backward elimination: each cause is removed in turn and everything else is refitted.
 
-While candidates are compared, the other parameters follow to first order. Where that is not
-accurate (a gain and a threshold, ramps that the reference fits itself, a wrong low-pass) a cause
-can seem to gain what one more step of the fit itself would gain. A cause without which the refit
-is as good is removed.
+While the search compares candidates, the other parameters follow to first order. That is not always
+accurate, for example for a gain with a threshold, for ramps that the reference fits, or for a wrong
+low-pass. A cause can then show a gain that one more step of the fit would give without it. If the
+refit without a cause is as good as the fit with it, the cause is removed.
 
 Source: likelihood ratio test; Wilks, Ann. Math. Statist. 9 (1938) 60.
 """
@@ -18,7 +18,7 @@ from gyrorig_solver.model import term_label, value_indices
 from gyrorig_solver.numerics import chi2_upper_tail
 
 # If the fit without a cause is clearly worse after this many evaluations, the cause is kept.
-# Without a large cause the fit would need many more to converge.
+# Without a large cause, the fit would need many more evaluations to converge.
 FIRST_EVALUATIONS = 4
 
 
@@ -27,8 +27,8 @@ class EliminationResult(Generic[Space]):
     """The result of backward elimination."""
 
     space: Space
-    eliminated: frozenset[str]  # labels of what it can do without
-    delta_log_likelihood: Mapping[str, float]  # nats, by label, of what it cannot
+    eliminated: frozenset[str]  # labels of the removed causes
+    delta_log_likelihood: Mapping[str, float]  # gain of each other cause by label, nats
 
 
 def eliminate_backward(
@@ -36,13 +36,13 @@ def eliminate_backward(
 ) -> EliminationResult[Space]:
     """Remove causes whose removal, with a full refit, does not reduce the likelihood significantly.
 
-    A cause without which the fit does not converge stays.
+    A cause stays if the fit without it does not converge.
 
     Args:
-        space: the fit where a search ended.
+        space: the fit at the end of a search.
         known_terms: causes of the base model, which stay.
         tests: how many share the false alarms.
-        alpha: share of recordings without any cause that may get a name.
+        alpha: share of recordings without any cause in which a cause may be named.
     """
     eliminated: set[str] = set()
     while True:

@@ -30,8 +30,8 @@ class CalibrationValues:
     """A fit's values and standard uncertainties over `CALIBRATION_PARAMETERS`."""
 
     values: FloatArray  # (13,)
-    std: FloatArray  # (13,), NaN where the data do not determine it
-    jacobian: FloatArray  # (13, 13), from the fit's own parameters
+    std: FloatArray  # (13,), NaN if the data do not determine a value
+    jacobian: FloatArray  # (13, 13), derivatives by the parameters of the fit
 
     @classmethod
     def of(cls, solution: ConvergedFit) -> Self:
@@ -50,11 +50,11 @@ class CalibrationValues:
         return cls(derived.values, std, derived.jacobian)
 
     def propagate(self, parameter_shift: FloatArray) -> FloatArray:
-        """Return the change of each parameter, (13,), from that of the fit's (G, b, tau)."""
+        """Return the change of each parameter, (13,), from a change of (G, b, tau) of the fit."""
         return np.asarray(self.jacobian @ parameter_shift, dtype=np.float64)
 
     def changes_from(self, before: FloatArray) -> tuple[CalibrationChange, ...]:
-        """Return each observable parameter's change from values (13,), the largest first."""
+        """Return the change of each observable parameter from `before`, (13,), largest first."""
         known_changes = [
             CalibrationChange(name, float(old), float(new), float(std), unit)
             for name, old, new, std, unit in zip(
@@ -71,6 +71,6 @@ class CalibrationValues:
 
 
 def last_recording_part(parameter_shift: FloatArray, recordings: int) -> FloatArray:
-    """Return the last recording's part of a change of all fitted parameters, (13,)."""
+    """Return the part of the last recording, (13,), of a change of all fitted parameters."""
     last = ParameterLayout.of([()], recordings).index(recordings - 1)
     return np.asarray(parameter_shift[last], dtype=np.float64)

@@ -18,10 +18,10 @@ from gyrorig_solver.model.catalogue import catalogue
 from gyrorig_solver.numerics import chi2_upper_tail
 
 MAX_CANDIDATES = 4  # fitted exactly at a time
-MIN_STATISTIC_SHARE = 0.2  # of the leading statistic: a cause that sees less is not fitted
-PLACE_MARGIN = 25.0  # a place alone this much below all places together is not fitted alone,
+MIN_STATISTIC_SHARE = 0.2  # of the leading statistic; causes with less are not fitted
+PLACE_MARGIN = 25.0  # a single place is not fitted if its statistic is this much below the best
 MAX_RESIDUAL_VALUES = 500_000  # for the lag by time, whose windows need memory
-JOINT_MARGIN = 3.0  # and all together not where they see no more than this beyond the best one
+JOINT_MARGIN = 3.0  # all places together are fitted only with this lead over the best single one
 
 
 def fit_leading(
@@ -32,19 +32,19 @@ def fit_leading(
     tests: int,
     fit_law: Callable[[Term, float], FittedCandidate | None],
 ) -> list[tuple[FittedCandidate, float]]:
-    """Fit the causes with the best scores and their confusable ones, each at its best place.
+    """Fit the causes with the best scores and their confusable causes, each at its best place.
 
-    A cause among them that changes the motion law is fitted unless its score is chance: its score
-    to first order is no measure of what it gains.
+    A cause that changes the motion law is fitted if its p-value is below 1, because its first-order
+    score does not predict its gain.
 
     Args:
         projection: the nuisance projector at the fit.
         leading: the scores from which the causes are taken.
         scores: of all places of all causes.
-        left_out: causes that are not tried, as those of the fit.
+        left_out: causes that are not tried, for example those of the fit.
         tests: how many share the false alarms.
-        fit_law: fits a cause that changes the motion law under its own law, given the evidence
-            that it needs to be the best.
+        fit_law: fits a cause that changes the motion law under its own law. Its second argument is
+            the evidence that the cause needs to be the best one.
 
     Returns:
         Each fitted cause with the effective number of its trials.
@@ -60,7 +60,7 @@ def fit_leading(
     }
     shown = {term_label(score.term) for score in leading if score.p_value < 1.0}
     terms = [term for term in terms if term not in law_terms.values()]
-    # What others stand for in the pass over all takes part where they do.
+    # Add causes that the scan of the catalogue left out because a chosen cause represents them.
     terms += [
         instance
         for equivalent in catalogue().values()
@@ -70,7 +70,7 @@ def fit_leading(
         if recording_index_of(instance) == recording_index_of(term) and instance not in terms
         if equivalent.template_search != "lag_series"
     ]
-    # The error of a clock that no single step resembles shows in the lag by time.
+    # The lag by time shows an error of a clock that no single step resembles.
     if is_lag_significant(projection, tests):
         terms += lag_series_terms(projection)
     candidates: list[tuple[FittedCandidate, float]] = []
@@ -118,20 +118,20 @@ def _strength_by_label(scores: Sequence[CandidateScore]) -> dict[str, float]:
 
 
 def _strongest(strength: Mapping[str, float]) -> list[str]:
-    """Return the two strongest causes, and others that are not much weaker."""
+    """Return the labels of the two strongest causes, and of others that are not much weaker."""
     order = sorted(strength, key=lambda label: -strength[label])[:MAX_CANDIDATES]
     threshold = MIN_STATISTIC_SHARE * strength[order[0]]
     return [label for k, label in enumerate(order) if k < 2 or strength[label] > threshold]
 
 
 def _is_much_weaker(term: Term, scores: Sequence[CandidateScore], threshold: float) -> bool:
-    """Return whether the best template of a lag by time sees too little; its fit is expensive."""
+    """Return whether a lag by time has too small a statistic, because its fit is expensive."""
     excess = [s.score_test.statistic - s.score_test.degrees_of_freedom for s in scores]
     return term.template_search == "lag_series" and max(excess, default=-np.inf) < threshold
 
 
 def is_lag_significant(projection: NuisanceProjector, tests: int) -> bool:
-    """Return whether the lag changes with time, and the recording is short enough to say so."""
+    """Return whether the lag changes with time; False if the recording is too long for the test."""
     if projection.residual.size > MAX_RESIDUAL_VALUES:
         return False
     return LagSeries.at(projection).p_value * tests < FALSE_ALARM_RATE
@@ -152,7 +152,7 @@ def fit_best_place(
 ) -> tuple[FittedCandidate, float] | None:
     """Fit one cause at each promising place; return the fit with the most evidence.
 
-    `with_infeasible`: also fits that would be better outside of what is possible.
+    `with_infeasible`: also accept fits whose best values are outside their ranges.
     """
     best_statistic = max((score.score_test.statistic for score in scores), default=0.0)
     best_separate = max(
@@ -173,9 +173,9 @@ def fit_best_place(
 
 
 def global_p_value(candidate: FittedCandidate, effective_trials: float, tests: int) -> float:
-    """Return the global p-value of a candidate: with all scanned templates and tests counted.
+    """Return the global p-value of a candidate, with all scanned templates and tests counted.
 
-    Shapes are not counted as degrees of freedom: the looks along them are.
+    Only the sizes are degrees of freedom; the trials account for the scanned shapes.
     """
     extension = candidate.extension
     sizes = int(np.isin(extension.free_indices, value_indices(extension.term, role="size")).sum())
@@ -184,7 +184,7 @@ def global_p_value(candidate: FittedCandidate, effective_trials: float, tests: i
 
 
 def fitted_place(extension: FittedTerm) -> str | None:
-    """Return the place whose sizes alone are fitted; None for all places."""
+    """Return the place if only its sizes are fitted; None for all places."""
     all_sizes = value_indices(extension.term, role="size")
     sizes = [int(k) for k in extension.free_indices if k in all_sizes]
     for place, _ in testable_places(extension.term):

@@ -1,7 +1,7 @@
 """The log-likelihood of one candidate cause as a function of its values, and its maximum.
 
-The base model follows to first order, because it is nearly linear at its optimum; the cause is
-nonlinear.
+The effect of the cause is nonlinear. The parameters of the base model follow to first order,
+because that model is nearly linear at its optimum.
 
 What to use when: `CandidateObjective` for a cause at one of its places; `minimize` from start
 values, `score_test` for the best sizes to first order.
@@ -26,10 +26,11 @@ from gyrorig_solver.model import (
     value_parameters,
 )
 
-MIN_STEP_GAIN_NATS = 1e-2  # nats won by a step: less is no reason for another
-MIN_PREDICTED_GAIN_NATS = 1e-4  # nats that a step promises: a hundredth of a deviation, negligible
+MIN_STEP_GAIN_NATS = 1e-2  # gain of a step below which the fit ends
+# Predicted gain of a step below which the fit ends: about a hundredth of a standard deviation.
+MIN_PREDICTED_GAIN_NATS = 1e-4
 FIRST_DAMPING, MIN_DAMPING, MAX_DAMPING = 1e-3, 1e-9, 1e6
-PERSISTENT_STAGES = ("mount", "clock")  # an event there changes what the fit itself follows
+PERSISTENT_STAGES = ("mount", "clock")  # an event there changes the gain or the time offset
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -37,14 +38,14 @@ class LocalExpansion:
     """The objective, its gradient and its curvature at given values."""
 
     values: FloatArray  # (k,)
-    cost: float  # minus the nats won
-    curvature: FloatArray  # (f, f), of the data
-    slope: FloatArray  # (f,), downhill
-    absorbed: FloatArray  # (board,)
+    cost: float  # minus the gain in nats
+    curvature: FloatArray  # (f, f), with that of the prior of the shapes
+    slope: FloatArray  # (f,), negative gradient of the cost
+    absorbed: FloatArray  # (board,), bias of the fit's parameters by the effect of the cause
 
 
 class CandidateObjective:
-    """A candidate cause at one of its places, or at all, in the residual of a fit."""
+    """A candidate cause at one of its places, or at all places, in the residual of a fit."""
 
     max_iterations = 12
 
@@ -54,7 +55,7 @@ class CandidateObjective:
         Args:
             projector: the nuisance projector at the fit.
             term: the cause.
-            place: its sizes at this place alone; None: all.
+            place: fit only the sizes at this place; None: all sizes.
         """
         self.projector, self.term, self.place = projector, term, place
         self.parameters = value_parameters(term)
@@ -73,9 +74,9 @@ class CandidateObjective:
     def event_interval(self) -> tuple[float, float]:
         """The interval in which an event of the cause can be, s.
 
-        A lasting change is a comparison of before and after. If the event changes the gain or the
-        time offset, both sides need a whole move. Otherwise the base model absorbs an event of any
-        size.
+        A lasting change is detected by comparing the data before and after it. If the event changes
+        the gain or the time offset, a whole move is necessary on both sides. Otherwise the base
+        model absorbs an event of any size.
         """
         context = self.context
         if self.term.stage in PERSISTENT_STAGES and len(context.motion_profiles) > 2:
@@ -92,7 +93,7 @@ class CandidateObjective:
         return values
 
     def clip(self, values: FloatArray) -> FloatArray:
-        """Return values in their ranges."""
+        """Return values limited to their ranges."""
         low = np.array([parameter.lower for parameter in self.parameters])
         high = np.array([parameter.upper for parameter in self.parameters])
         for k in self.events:
@@ -124,11 +125,11 @@ class CandidateObjective:
         return self.clip(estimated)
 
     def derivatives(self, values: FloatArray, free: IntArray) -> WhitenedSignals:
-        """Return the derivatives by the free values and, last, the whole effect, whitened."""
+        """Return the whitened derivatives by the free values; the last signal is the effect."""
         return self.projector.term_derivatives(self.term, values, free)
 
     def expand(self, values: FloatArray, free: IntArray) -> LocalExpansion:
-        """Return the objective at some values, with derivatives by the free ones."""
+        """Return the objective at given values, with its derivatives by the free values."""
         statistics = self.projector.score_statistics(self.derivatives(values, free))
         count = free.size
         cost = 0.5 * float(statistics.information[count, count]) - float(statistics.score[count])
@@ -146,9 +147,9 @@ class CandidateObjective:
         )
 
     def useful_start(self, values: FloatArray) -> LocalExpansion:
-        """Return the objective at some values, or with the best sizes to first order.
+        """Return the objective at given values, or with the best sizes to first order.
 
-        Sizes that are no better than no effect are replaced. `values`: as of a template.
+        The sizes are replaced if they are not better than no effect. `values`: of a template.
         """
         start = self.expand(values, self.free)
         if start.cost < 0.0:
@@ -157,7 +158,7 @@ class CandidateObjective:
         return min(start, self.expand(one_step, self.free), key=lambda state: state.cost)
 
     def minimize(self, values: FloatArray, free: IntArray | None = None) -> LocalExpansion:
-        """Return the optimum near some values; `free`: by default the sizes and shapes."""
+        """Return the optimum near given values; `free`: by default the sizes and shapes."""
         free = self.free if free is None else free
         return self.minimize_from(self.expand(values, free), free)
 
@@ -189,7 +190,7 @@ class CandidateObjective:
     def step_from(
         self, current: LocalExpansion, free: IntArray, damping: float
     ) -> tuple[FloatArray, float]:
-        """Return a step of the values that are not held at a bound, and the gain that it promises.
+        """Return a step of the values that are not held at a bound, and its predicted gain.
 
         Args:
             current: the objective at the current values.

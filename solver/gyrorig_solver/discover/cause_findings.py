@@ -11,9 +11,9 @@ from gyrorig_solver.data import FloatArray
 from gyrorig_solver.estimate import ConvergedFit, FittedTerm
 from gyrorig_solver.model import Part, Term
 
-# adequate: the base model leaves nothing but noise. explained: it did not, the named causes
-# account for all of it. unexplained: structure remains that no known cause explains.
-MIN_AGREEMENT_P = 1e-3  # boards that differ more are reported to disagree
+MIN_AGREEMENT_P = 1e-3  # boards with a smaller p-value are reported to disagree
+# adequate: the residual of the base model is noise. explained: the named causes explain the rest
+# of that residual. unexplained: a part of the residual is left that no known cause explains.
 Verdict = Literal["adequate", "explained", "unexplained"]
 
 
@@ -23,9 +23,9 @@ class FittedValue:
 
     name: str  # parameter and part, as in gap.pan
     value: float
-    std: float  # inf where the data do not determine it
+    std: float  # inf if the data do not determine the value
     unit: str
-    typical: float  # of an ordinary rig
+    typical: float  # size on an ordinary rig
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,9 +33,9 @@ class RivalCause:
     """A rejected cause with its log-likelihood difference from the named cause."""
 
     cause: str
-    delta_log_likelihood: float  # nats, its best fit's minus the named one's; below 0: worse
+    delta_log_likelihood: float  # nats, best fit minus that of the named cause; below 0: worse
     posterior: float  # posterior probability among all compared causes
-    reason: str  # why it lost, in words
+    reason: str  # why it was rejected, as text
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,8 +51,8 @@ class ConfidenceInterval:
 class HeldOutGain:
     """The gain of a model on held-out data."""
 
-    how: str  # which data those were
-    log_likelihood: ConfidenceInterval  # nats, the extended model's minus the base model's
+    how: str  # which data were held out, as text
+    log_likelihood: ConfidenceInterval  # nats, extended model minus base model
     rms_before: float  # rad/s, of the residual, all axes
     rms_after: float
     turn_error_before_rad: float  # rms over moves of the integrated residual
@@ -66,9 +66,9 @@ class Attribution:
     """Whether a cause belongs to the unit or to one of several boards."""
 
     owner: Literal["unit", "board"]
-    detected_by: int  # boards whose own data show it
-    board_count: int  # that were on the unit
-    disagreement_p: float | None  # of a unit's: boards differ as much in its size by chance
+    detected_by: int  # number of boards whose own data show the cause
+    board_count: int  # number of boards on the unit
+    disagreement_p: float | None  # p-value of the boards having one size; for a cause of the unit
 
     @property
     def description(self) -> str:
@@ -97,7 +97,7 @@ class Attribution:
 class CalibrationChange:
     """The change of one calibration parameter when a cause is included in the fit."""
 
-    parameter: str  # scale.z, as the calibration names it
+    parameter: str  # as the calibration names it, for example scale.z
     before: float
     after: float
     std: float  # of the value after
@@ -111,22 +111,22 @@ class CalibrationChange:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class NamedCause:
-    """An identified cause. If `one_of` is not empty, the data cannot distinguish it from those."""
+    """An identified cause; the data cannot distinguish it from the causes in `one_of`."""
 
     term: Term
-    where: tuple[str, ...]  # parts that it acts at: x, y, z, pan, tilt; () where it has none
-    extension: FittedTerm  # as fitted, to be taken into a calibration
+    where: tuple[str, ...]  # parts on which it acts: x, y, z, pan, tilt; () if it has no parts
+    extension: FittedTerm  # as fitted, for use in a calibration
     values: tuple[FittedValue, ...]
-    statistic: float  # twice the log likelihood that leaving it out would cost
+    statistic: float  # twice the log-likelihood that the fit loses without the cause
     degrees_of_freedom: int
-    p_value: float  # of its first sight: scans and the catalogue's size counted
+    p_value: float  # of its detection, with all scanned templates and tests counted
     posterior: float
     one_of: tuple[str, ...]  # the other causes of the 95 % set
     rivals: tuple[RivalCause, ...]
-    changes: tuple[CalibrationChange, ...]  # what leaving it out does to the calibration
-    gain: HeldOutGain | None  # None: too little data to hold any out
+    changes: tuple[CalibrationChange, ...]  # of the calibration if the cause is left out
+    gain: HeldOutGain | None  # None: too few data to hold any out
     attribution: Attribution | None = None  # None: there was one board only
-    recording: str | None = None  # in which it happened, of several; None: in all of them
+    recording: str | None = None  # the recording in which it acts; None: all of them
 
     @property
     def cause(self) -> str:
@@ -140,7 +140,7 @@ class NamedCause:
 
     @property
     def candidates(self) -> tuple[str, ...]:
-        """The credible set, the most probable cause first; a single name is a set of one."""
+        """The credible set, the most probable cause first."""
         return (self.cause, *self.one_of)
 
     @property
@@ -162,12 +162,12 @@ class DependenceTest:
     """A test of whether the residual depends on a covariate, without naming a cause."""
 
     covariate: str  # id: pan_angle, tilt_angle, speed, time, ...
-    description: str  # "on the pan angle"
+    description: str  # for example "on the pan angle"
     statistic: float
     degrees_of_freedom: int
-    p_value: float  # all signatures counted
-    axis: str | None = None  # sensor axis that shows it most, None: all alike
-    log_evidence: float = 0.0  # nats for a free function of this against none; 0 of scatter
+    p_value: float  # with all tests counted
+    axis: str | None = None  # sensor axis that shows it most; None: no such axis
+    log_evidence: float = 0.0  # nats, smooth function against none; 0 for a test of the variance
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -175,8 +175,8 @@ class UnexplainedResidual:
     """The part of the residual that no cause of the catalogue explains."""
 
     leading: DependenceTest
-    others: tuple[DependenceTest, ...]  # those that are significant too
-    named_share: float  # of the base model's misfit that the named causes explain
+    others: tuple[DependenceTest, ...]  # the other significant tests
+    named_share: float  # share of the misfit of the base model that the named causes explain
 
 
 @dataclass(frozen=True, slots=True)
@@ -185,16 +185,16 @@ class DetectionLimit:
 
     cause: str
     where: str | None
-    size: float  # smallest that would have been seen 4 times in 5, SI
+    size: float  # smallest size that the test detects with a power of 0.8, SI
     unit: str
     typical: float
-    biased_parameter: str  # which parameter of the calibration it would move most
-    parameter_bias_sigma: float  # by how many standard deviations, at that size
+    biased_parameter: str  # the calibration parameter that the cause would bias most
+    parameter_bias_sigma: float  # that bias at this size, in standard uncertainties
 
 
 @dataclass(frozen=True, slots=True)
 class UntestableCause:
-    """A cause that these recordings cannot test, and what would test it."""
+    """A cause that these recordings cannot test, with the reason or the motion that it needs."""
 
     cause: str
     where: str | None
@@ -208,25 +208,23 @@ class CauseFindings:
     verdict: Verdict
     causes: tuple[NamedCause, ...]  # the most harmful first
     unexplained: UnexplainedResidual | None
-    dependence_tests: tuple[
-        DependenceTest, ...
-    ]  # of the base model's residual, the strongest first
+    # Of the base model's residual, the most significant first.
+    dependence_tests: tuple[DependenceTest, ...]
     detection_limits: tuple[DetectionLimit, ...]  # the most harmful first
     untestable: tuple[UntestableCause, ...]
     base_terms: tuple[str, ...]
     base_reduced_chi2: float
-    base_whiteness_p: float  # probability of this result from noise alone
+    base_whiteness_p: float  # smallest p-value of the tests of the base model's residual
     extended_reduced_chi2: float
     gain: HeldOutGain | None  # of all named causes together
     changes: tuple[CalibrationChange, ...]  # by all named causes together
-    duration_s: float  # that the search took
-    other_recording_gain: HeldOutGain | None = (
-        None  # of all named causes, on a recording that had no part in it
-    )
+    duration_s: float  # of the search
+    # Of all named causes, on a recording that was not fitted.
+    other_recording_gain: HeldOutGain | None = None
 
     @property
     def fitted_terms(self) -> tuple[FittedTerm, ...]:
-        """The named causes that a fit can include, as fitted."""
+        """The named causes that a fit can contain, as fitted."""
         fitted = (cause.extension for cause in self.causes if cause.term.kind == "effect")
         return tuple(fitted_term for fitted_term in fitted if fitted_term.free_indices.size)
 
@@ -238,7 +236,7 @@ class FitExplanation:
     board: str
     findings: CauseFindings
     solution_base: ConvergedFit
-    solution_extended: ConvergedFit  # the same as the base where no cause was named
+    solution_extended: ConvergedFit  # equal to the base if no cause was named
     remarks: tuple[str, ...] = ()  # on candidates whose fit did not converge
 
     def residuals(self) -> tuple[list[FloatArray], list[FloatArray]]:

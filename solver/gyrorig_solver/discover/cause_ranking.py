@@ -1,4 +1,4 @@
-"""Each cause of a fit compared with its alternatives, all else fitted.
+"""Each cause of a fit compared with its alternatives, with all other causes fitted.
 
 What to use when: `review_ranking` at the end of a search, `rank_against_alternatives` for one
 cause.
@@ -21,34 +21,34 @@ from gyrorig_solver.discover.testable_terms import FALSE_ALARM_RATE
 from gyrorig_solver.estimate import FittedTerm, NuisanceProjector
 from gyrorig_solver.model import Term, recording_index_of, term_label
 
-CREDIBLE_SET_LEVEL = 0.95  # belief that the stated set holds the cause
-# Belief that what happens in several recordings of one board has the same cause in each of them.
+CREDIBLE_SET_LEVEL = 0.95  # probability that the stated set contains the cause
+# Prior probability that an effect in several recordings of one board has the same cause in each.
 SAME_CAUSE_BELIEF = 0.95
-MAX_SWAPS = 4  # times that named causes may lose their place in the end
-MIN_EVIDENCE_LEAD_NATS = 1.0  # nats of evidence that a rival must be ahead by
-# Share of a cause's statistic: twice what its form may leave of its effect without any noise
-# (measured on sessions without noise: 0.2 %).
+MAX_SWAPS = 4  # replacements of named causes in one ranking
+MIN_EVIDENCE_LEAD_NATS = 1.0  # lead in log evidence by which a rival replaces a cause
+# Share of a cause's statistic that its form may leave unexplained: twice the 0.2 % that were
+# measured on sessions without noise.
 MODEL_ERROR_SHARE = 0.004
-IRRELEVANT_SHARE = 1e-3  # a rival with a smaller posterior probability need not be fitted
-# Bound on the gain of a motion law: so many times that of its score test, to first order. It holds
-# where the law shows nothing in addition to the named cause.
+IRRELEVANT_SHARE = 1e-3  # a rival with a smaller posterior probability is not fitted
+# Upper bound on the gain of a motion law, relative to the first-order gain of its score test. It
+# holds if the law is not significant in addition to the named cause.
 FIRST_ORDER_FACTOR = 20.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RankedCause:
-    """A fitted cause with its ranked alternatives, all other causes fitted."""
+    """A fitted cause with its ranked alternatives, with all other causes fitted."""
 
     candidate: FittedCandidate
     effective_trials: float
-    rivals: tuple[tuple[FittedCandidate, float], ...]  # other causes and their posterior
+    rivals: tuple[tuple[FittedCandidate, float], ...]  # other causes, with posterior probabilities
     posterior: float
-    board_gain_nats: float | None = None  # nats won on this board, where several share it
-    # What other recordings say about the cause and each rival, nats; () without a word.
+    board_gain_nats: float | None = None  # gain on this board alone; None: no other board shares it
+    # Log prior of the cause and of each rival, from the other recordings; () without this prior.
     other_recordings_nats: tuple[float, ...] = ()
 
     def with_gain_limit(self, gains_by_label: Mapping[str, float]) -> "RankedCause":
-        """Return it with at most the gain that a refit without the cause confirms."""
+        """Return the ranking with at most the gain that a refit without the cause confirms."""
         nats = gains_by_label.get(term_label(self.candidate.extension.term), np.inf)
         return (
             self
@@ -57,7 +57,7 @@ class RankedCause:
         )
 
     def lead_nats(self, rival: int) -> float:
-        """Return by how much the evidence for a rival exceeds that for the cause."""
+        """Return the log evidence of a rival minus that of the cause, with all recordings."""
         nats = self.rivals[rival][0].log_evidence - self.candidate.log_evidence
         if self.other_recordings_nats:
             nats += self.other_recordings_nats[1 + rival] - self.other_recordings_nats[0]
@@ -78,7 +78,7 @@ class RankedCause:
 
     @property
     def statistic(self) -> float:
-        """Twice the log-likelihood that it wins on this board's data."""
+        """Twice the gain of the log-likelihood on the data of this board."""
         nats = self.board_gain_nats
         return 2.0 * max(self.candidate.delta_log_likelihood if nats is None else nats, 0.0)
 
@@ -104,7 +104,7 @@ def credible_set(posterior: float, rivals: Iterable[tuple[str, float]]) -> tuple
     """Return the most probable rivals that complete the credible set of a cause.
 
     Args:
-        posterior: of the cause.
+        posterior: probability of the cause.
         rivals: other causes with their probabilities, the most probable first.
     """
     names, total = [], posterior
@@ -120,7 +120,7 @@ def nats_for_sole_name(gain_nats: float) -> float:
     """Return the lead in log evidence over one rival that makes a cause the only name.
 
     Args:
-        gain_nats: log-likelihood that the cause wins.
+        gain_nats: gain of the log-likelihood by the cause.
     """
     odds = CREDIBLE_SET_LEVEL / (1.0 - CREDIBLE_SET_LEVEL)
     return float(np.log(odds) * np.hypot(1.0, MODEL_ERROR_SHARE * gain_nats))
@@ -148,7 +148,7 @@ def review_ranking(
     considered: Mapping[str, set[str]],
     is_acceptable: Callable[[Space], bool],
 ) -> tuple[Space, tuple[RankedCause, ...]]:
-    """Rank each cause against its alternatives, all else fitted, and swap in better ones.
+    """Rank each cause against its alternatives, and replace it by a better alternative.
 
     Args:
         space: the fit at the end of a search.
@@ -188,11 +188,11 @@ def review_ranking(
 
 
 def _with_other_recordings(ranked: RankedCause, all_ranked: Sequence[RankedCause]) -> RankedCause:
-    """Return the ranking of a cause of one recording with what the other recordings say.
+    """Return the ranking of a cause of one recording, with a prior from the other recordings.
 
-    Each recording has its own values of such a cause, but one board has hardly two different causes
-    that look the same. Another recording's posterior p of a cause counts as the prior
-    b p + (1 - b) / n, with the belief b that the cause is the same one, and n compared causes.
+    Each recording has its own values of such a cause. But one board rarely has two different causes
+    with the same effect. A posterior probability p in another recording gives the prior
+    b p + (1 - b) / n, with b = `SAME_CAUSE_BELIEF` and n compared causes.
     """
     number = recording_index_of(ranked.candidate.extension.term)
     if number is None:
@@ -227,7 +227,7 @@ def _with_other_recordings(ranked: RankedCause, all_ranked: Sequence[RankedCause
 
 
 def _significance_beside(space: FitSpace, tests: int) -> Callable[[Term], bool]:
-    """Return the function that says whether a cause is significant beside those of a fit."""
+    """Return a function that tests whether a cause is significant in addition to those of a fit."""
     projectors: list[NuisanceProjector] = []
     answers: dict[str, bool] = {}
 
@@ -263,13 +263,14 @@ def rank_against_alternatives(
 ) -> RankedCause:
     """Rank one cause of a fit against the alternatives in its place.
 
-    An alternative that changes the motion law needs a separate fit. It has none if it cannot be a
-    rival: its score test gains little, and it explains nothing in addition to the named cause.
+    An alternative that changes the motion law needs a separate fit. The fit is omitted if the
+    alternative cannot be a rival: the gain of its score test is small, and it is not significant in
+    addition to the named cause.
 
     Args:
         space: the fit.
-        k: which of its causes.
-        terms: those that might, itself among them.
+        k: index of the cause in the fit.
+        terms: the alternatives, and the cause itself.
         tests: how many share the false alarms.
         shows_beside: whether a cause is significant in addition to all causes of the fit.
     """
@@ -350,12 +351,12 @@ def rank_against_alternatives(
 
 
 def _irrelevant_nats(best_gain_nats: float) -> float:
-    """Return by how much less evidence a rival has no probability worth stating."""
+    """Return the lag in log evidence at which the odds of a rival are `IRRELEVANT_SHARE`."""
     return float(-np.log(IRRELEVANT_SHARE) * np.hypot(1.0, MODEL_ERROR_SHARE * best_gain_nats))
 
 
 def _in_place_of(named: FittedCandidate, rival: FittedCandidate) -> FittedCandidate:
-    """Return a rival, judged relative to the fit with the named cause, relative to that without."""
+    """Return a rival with its gain over the fit without the named cause, not over that with it."""
     nats = named.delta_log_likelihood
     return replace(
         rival,
@@ -365,7 +366,7 @@ def _in_place_of(named: FittedCandidate, rival: FittedCandidate) -> FittedCandid
 
 
 def _unrivalled(space: Space, k: int, without: Space) -> RankedCause:
-    """Return the ranking of a cause without which the fit does not converge."""
+    """Return the ranking of a cause if the fit without it, `without`, does not converge."""
     place = fitted_place(space.fitted_terms[k])
     named = judge_law_cause(space, k, without, place)
     excess_nats = without.convergence.remaining_nats
@@ -379,17 +380,18 @@ def _unrivalled(space: Space, k: int, without: Space) -> RankedCause:
 def posterior_probabilities(log_evidence: FloatArray, best_gain_nats: float) -> FloatArray:
     """Return the posterior probability of each cause, with an allowance for model error.
 
-    What a rival leaves of a large effect may be what the right form leaves as well, so the
-    likelihood counts for less the more there is of it. A small effect is judged by noise
-    alone: the two errors, a nat of noise's and the share that forms are untrue by, are
-    independent and add in squares.
+    The form of the right cause also leaves a share of a large effect unexplained. A rival that
+    leaves a similar share must not be rejected for this reason. Therefore the differences in log
+    evidence are divided by the error of the comparison, which grows with the gain. This error has
+    two independent parts that add in squares: one nat by noise, and the share `MODEL_ERROR_SHARE`
+    of the gain by the form.
 
     Source: after the coarsened posterior; Miller and Dunson, J. Am. Statist. Assoc. 114
     (2019) 1113.
 
     Args:
-        log_evidence: of each, nats, the named one's first.
-        best_gain_nats: by the named one, nats.
+        log_evidence: of each cause, nats, the named cause first.
+        best_gain_nats: gain of the log-likelihood by the named cause.
     """
     belief = np.exp(
         (log_evidence - log_evidence.max()) / np.hypot(1.0, MODEL_ERROR_SHARE * best_gain_nats)

@@ -1,14 +1,13 @@
 """Stepwise selection of causes: significant causes are named and fitted one after the other.
 
-Forward: all causes are scored, the best candidates and their confusable causes are fitted
-exactly, and the candidate with the most evidence is added to the full fit, until no leading cause
-is significant. Backward: a cause that the others make redundant is removed. Then each cause is
-compared with all alternatives, all else fitted, and can be replaced, and weaker candidates are
-fitted; where one of these changes the model, the search continues. A fit that does not converge is
-no reason for any of these moves. The result is the model with the most evidence of all that the
-search visited.
+Forward: the search scores all causes and fits the best candidates and their confusable causes
+exactly. It adds the candidate with the most evidence to the full fit, until no leading cause is
+significant. Backward: the search removes a cause that the others make redundant. Then it compares
+each cause with all alternatives, with all other causes fitted, and can replace it. It also fits
+weaker candidates. If one of these steps changes the model, the search continues. A fit that does
+not converge causes none of these steps. The result is the visited model with the most evidence.
 
-What to use when: `search_causes` from a fit of the base model, whatever its reference is.
+What to use when: `search_causes` from a fit of the base model, for any kind of reference.
 """
 
 from collections.abc import Mapping, Sequence
@@ -38,11 +37,12 @@ from gyrorig_solver.estimate import NuisanceProjector
 from gyrorig_solver.model import Term, term_label
 
 MAX_CAUSES = 16
-MAX_ROUNDS = 3  # of adding causes; the ranking between two of them takes as long as the rest
-# Of causes that are significant with typical noise levels only: the bias has a random walk.
+MAX_ROUNDS = 3  # of adding causes; the ranking after a round takes as long as the rest
+# Number of causes that are significant with typical noise levels only. If there are so many, the
+# bias has a random walk.
 MAX_NOISE_ALTERNATIVES = 3
-# Of the likelihood, by all refits; the ranking of the causes that were found comes on top. A search
-# that needs more tries to explain what no cause explains.
+# Evaluations of the likelihood in all refits, without the final ranking. A search that needs more
+# tries to explain an effect that no cause explains.
 MAX_SEARCH_EVALUATIONS = 2000
 
 
@@ -51,7 +51,7 @@ class SearchResult(Generic[Space]):
     """The result of a search: the extended fit, its causes, and the scores of the other causes."""
 
     space: Space
-    ranked_causes: tuple[RankedCause, ...]  # of each extension of the fit, in their order
+    ranked_causes: tuple[RankedCause, ...]  # of each extension of the fit, in the same order
     projector: NuisanceProjector
     scores: tuple[CandidateScore, ...]  # of the residual
     noise_alternatives: tuple[NoiseAlternative, ...] = ()  # if the bias has a random walk
@@ -116,7 +116,7 @@ class _Search(Generic[Space]):
                 return self._ranked_result()
 
     def _add_causes(self) -> None:
-        """Add the leading cause again and again, and remove those that become redundant."""
+        """Add the leading cause repeatedly, and remove causes that become redundant."""
         while not self._is_at_limit:
             selection = self._select()
             if selection is not None and len(self._space.fitted_terms) < MAX_CAUSES:
@@ -129,7 +129,7 @@ class _Search(Generic[Space]):
                 return
 
     def _settle(self) -> None:
-        """Continue with the best visited model, with its convergence confirmed."""
+        """Continue with the best visited model, and confirm its convergence."""
         best = best_model(self._space, self._memory.visited)
         if best is not self._space:
             self._continue_with(best)
@@ -141,7 +141,7 @@ class _Search(Generic[Space]):
         if space is not self._space:
             self._space.release_caches()
         self._space, self._scored_projection = space, None
-        del self._projection  # two of them would need the memory of two
+        del self._projection  # before the next one is made: a projector is large
         self._projection = space.projector(self._typical)
 
     @property
@@ -155,7 +155,8 @@ class _Search(Generic[Space]):
     def _select(self, with_weaker: bool = False) -> _Selection | None:
         """Score all causes that are not fitted; return the best significant candidate.
 
-        `with_weaker`: fit the other candidates, after the exact fits of the leading ones failed.
+        `with_weaker`: fit the other candidates, after the exact fits of the leading candidates
+        failed.
         """
         fitted_labels = _labels(self._space)
         if self._scored_projection is not self._projection:
@@ -165,7 +166,7 @@ class _Search(Generic[Space]):
         usable = [score for score in self._scores if term_label(score.term) not in self._left_out]
         significant = [score for score in usable if score.p_value < FALSE_ALARM_RATE]
         if not significant and self._space.needs_held_out_gain and usable:
-            # A clock that is set right often resembles no cause of the first pass.
+            # No cause of the first scan resembles a clock that is corrected often.
             is_late = is_lag_significant(self._projection, self._tests)
             significant = usable[:1] if is_late else []
         if with_weaker:
@@ -191,7 +192,7 @@ class _Search(Generic[Space]):
     def _fit_law(self, term: Term, needed_nats: float) -> FittedCandidate | None:
         """Fit a candidate under its own motion law; None if the fit does not converge.
 
-        At the limit of the search, no more candidate is fitted.
+        At the limit of the search, the candidate is not fitted.
         """
         if self._is_at_limit:
             return None
@@ -223,8 +224,8 @@ class _Search(Generic[Space]):
     def _replace_causes(self) -> bool:
         """Replace causes by better alternatives; return whether the model is a new one.
 
-        An early cause can stand for several that were not in the model yet, so that other causes
-        are significant in addition to what replaces it.
+        A cause that was added early can represent several causes that were not yet in the model.
+        Other causes can then be significant in addition to its replacement.
         """
         replaced, _ = self._rank()
         if replaced is self._space:
@@ -237,7 +238,7 @@ class _Search(Generic[Space]):
         return True
 
     def _try_weaker(self) -> bool:
-        """Try a weaker candidate where no leading one passes; return whether there is one."""
+        """Try a weaker candidate if no leading one passes; return whether there is one."""
         if not self._has_weaker or len(self._space.fitted_terms) >= MAX_CAUSES:
             return False
         selection = self._select(with_weaker=True)
@@ -263,7 +264,7 @@ class _Search(Generic[Space]):
         before = _labels(self._space)
         extended = self._drop_without_gain(self._drop_insignificant(extended))
         if _labels(extended) <= before:
-            self._excluded.add(name)  # it could not stay: not again
+            self._excluded.add(name)  # it was removed at once: do not try it again
         self._memory.visit(extended)
         self._continue_with(extended)
 
@@ -277,7 +278,7 @@ class _Search(Generic[Space]):
     def _drop_insignificant(self, space: Space) -> Space:
         """Remove the causes that are not significant in addition to the others.
 
-        A cause without which the fit does not converge stays.
+        A cause stays if the fit without it does not converge.
         """
         needed: set[str] = set()
         while True:
@@ -299,7 +300,7 @@ class _Search(Generic[Space]):
             space = reduced
 
     def _drop_without_gain(self, space: Space) -> Space:
-        """Remove the causes without gain on held-out data, where the space needs one."""
+        """Remove the causes without gain on held-out data, if the space requires a gain."""
         while without := _causes_without_gain(space):
             self._excluded |= {term_label(space.fitted_terms[k].term) for k in without}
             space = space.refit([t for k, t in enumerate(space.fitted_terms) if k not in without])
@@ -338,7 +339,7 @@ class _Search(Generic[Space]):
         return self._ranking[1:]
 
     def _limit_remarks(self) -> tuple[str, ...]:
-        """Return the remark that the search stopped at its limit, and what it had found."""
+        """Return the remark that the search stopped at its limit, with the causes so far."""
         if not self._is_at_limit:
             return ()
         names = ", ".join(

@@ -1,9 +1,9 @@
-"""Several clock faults of a model, compared with fewer and with other ones.
+"""Several clock faults of a model, compared with fewer and with other clock faults.
 
-A skew with a saw-tooth follows a step of a clock nearly as well as the step. A step with a
-saw-tooth imitates a skew, and a skew with a saw-tooth a skew with a step. A search that adds one
-cause at a time can end with the wrong pair: its first cause was the best one before others were in
-the model.
+A skew with a saw-tooth fits a step of a clock nearly as well as the step. A step with a saw-tooth
+imitates a skew, and a skew with a saw-tooth imitates a skew with a step. A search that adds one
+cause at a time can end with the wrong pair, because its first cause was the best one before the
+model contained other causes.
 
 What to use when: `compare_clock_faults` for a model to which no cause can be added.
 """
@@ -21,17 +21,18 @@ from gyrorig_solver.discover.score_tests import scan_catalogue
 from gyrorig_solver.discover.testable_terms import FALSE_ALARM_RATE
 from gyrorig_solver.model import Term, term_label, value_indices
 
-MIN_LEAD_NATS = 1.0  # of the evidence for another fault in the place of one
+MIN_LEAD_NATS = 1.0  # lead in log evidence by which another fault replaces one fault
 
 
 def compare_clock_faults(space: Space, terms: Sequence[Term], tests: int) -> Space:
-    """Return the model with one other clock fault in place of two or of one, if more probable.
+    """Return the model with another clock fault in place of two or of one, if more probable.
 
-    The second fault is one of all causes that were tested, each with the same prior probability.
-    So the evidence for two must be larger than that for one by the logarithm of their number.
+    The second fault can be any of the tested causes, each with the same prior probability.
+    Therefore the log evidence for two faults must exceed that for one by the logarithm of the
+    number of tests.
 
     Args:
-        space: the fit of the model; with less than two clock faults it is returned.
+        space: the fit of the model; with fewer than two clock faults it is returned.
         terms: the testable causes.
         tests: how many share the false alarms.
     """
@@ -64,8 +65,9 @@ def _replacements(
 ) -> list[Space]:
     """Return the model with each significant clock fault in place of some causes.
 
-    The fault's event is searched from the best template and from the events of the replaced causes.
-    Far from it, samples next to the true one count as outliers and cannot attract it.
+    The fit starts with the event of the best template and with the events of the replaced causes.
+    From a start far away, the fit cannot find the true event, because it rejects the samples next
+    to that event as outliers.
     """
     projector = space.projector_without(*replaced)
     remaining = [term for k, term in enumerate(space.fitted_terms) if k not in replaced]

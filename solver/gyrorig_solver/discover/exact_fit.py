@@ -1,8 +1,8 @@
 """Exact fit of one candidate cause: sizes, shapes and event time by their nonlinear effect.
 
-The gain is the rise of the log-likelihood. The evidence (Laplace's approximation, with Occam
-factor) expects sizes about the typical one with long tails (Cauchy), and shapes and event times
-uniform in their ranges.
+The gain is the increase of the log-likelihood. The evidence is Laplace's approximation, with an
+Occam factor. Its priors are a Cauchy distribution with the typical size for sizes, and uniform
+distributions over the ranges of shapes and event times.
 
 What to use when: `fit_candidate` for a cause at a place from some of its templates.
 
@@ -26,29 +26,31 @@ from gyrorig_solver.discover.template_choice import MIN_PERIODS, folded_periods
 from gyrorig_solver.estimate import FittedTerm, NuisanceProjector
 from gyrorig_solver.model import Term, value_indices
 
-WHOLE_COUNT_SIGMA = 4.0  # deviations
-MAX_OUTSIDE_GAIN_NATS = 2.0  # won by leaving what is possible, two deviations: it is something else
-REFINEMENTS, STEPS_PER_SIDE = 4, 4  # an event is looked for so often, each time so much finer
-FIRST_STEPS_PER_SIDE = 8  # of two times that are searched together
-SHAPE_SHARE = 0.04  # of a period, to either side of an event
-SMOOTH_STD_S = 2e-3  # an event known better than this lies on one smooth hill of the likelihood
-SHIFTS_S = (0.02, 0.07, 0.25)  # an edge of a move, its ramp, a rest
-MIN_STD_S = 1e-6  # that an event is known to
-GRID_PER_SIDE = 20  # times to either side of one that is known worse
+WHOLE_COUNT_SIGMA = 4.0  # standard deviations from the nearest whole number
+# Gain by sizes outside their ranges, two standard deviations: more shows that another cause acts.
+MAX_OUTSIDE_GAIN_NATS = 2.0
+# Grids of event times that are searched, and steps to each side; each grid is finer by the latter.
+REFINEMENTS, STEPS_PER_SIDE = 4, 4
+FIRST_STEPS_PER_SIDE = 8  # of the first grid of two event times that are searched together
+SHAPE_SHARE = 0.04  # of a period, searched to each side of an event
+SMOOTH_STD_S = 2e-3  # below this uncertainty of an event, the likelihood has one smooth peak
+SHIFTS_S = (0.02, 0.07, 0.25)  # of an event: durations of an edge of a move, of a ramp, of a rest
+MIN_STD_S = 1e-6  # smallest standard uncertainty of an event time: resolution of the timestamps
+GRID_PER_SIDE = 20  # times to each side of an event with a larger uncertainty than SMOOTH_STD_S
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FittedCandidate:
-    """A cause at its maximum-likelihood values, the base model eliminated."""
+    """A cause at its maximum-likelihood values, with the base model eliminated."""
 
-    extension: FittedTerm  # its sizes free, its shapes too unless held, its event as found
+    extension: FittedTerm  # its sizes are free, and its shapes unless held; its event is fixed
     place: str | None
     delta_log_likelihood: float  # nats
-    log_evidence: float  # nats, Occam's factor counted
+    log_evidence: float  # nats, with the Occam factor
     std: FloatArray  # (free,)
-    absorbed: FloatArray  # (board,), what its effect makes of the fit's parameters
-    infeasible: bool  # better still outside what is possible, or a part of what is whole
-    event_std: float | None = None  # of its event's time, s; None where it has none
+    absorbed: FloatArray  # (board,), bias of the fit's parameters by the effect of the cause
+    infeasible: bool  # the best values are outside their ranges, or a count is not whole
+    event_std: float | None = None  # of the time of its event, s; None if it has no event
 
 
 def fit_candidate(
@@ -63,9 +65,10 @@ def fit_candidate(
     Args:
         projection: the nuisance projector at the fit.
         term: the cause.
-        place: its sizes at this place alone; None: all.
-        starts: values (k,) each; sizes that are not fitted are taken as zero.
-        search_event: look for the event by its exact effect too, which is not smooth in its time.
+        place: fit only the sizes at this place; None: all sizes.
+        starts: values (k,) each; sizes that are not fitted are set to zero.
+        search_event: also search for the event by its exact effect, which is not a smooth
+            function of its time.
     """
     objective = CandidateObjective(projection, term, place)
     fits = [_fit_from(objective, start, search_event) for start in starts]
@@ -92,7 +95,7 @@ def _fit_from(
     fitted = objective.minimize_from(objective.useful_start(values), objective.free)
     if not objective.events:
         return fitted, fitted
-    if search_event and not objective.term.holds_shapes:  # their search sees the exact effect
+    if search_event and not objective.term.holds_shapes:  # `locate_shapes` used the exact effect
         fitted = search_event_nearby(objective, fitted)
     with_event = np.concatenate([objective.free, np.array(objective.events, dtype=np.int64)])
     event_free = objective.minimize(fitted.values, with_event)
@@ -137,7 +140,8 @@ def _is_outside(
 ) -> bool:
     """Return whether sizes outside their ranges are clearly better.
 
-    An estimate scatters: that of a truth near a bound lies beyond it half of the time.
+    Noise alone moves an estimate. If the true size is near a bound, the estimate is outside the
+    range in half of all recordings.
     """
     sizes, free = objective.sizes, objective.free
     at_zero = np.isin(np.arange(free.size), np.arange(sizes.size)) & (state.values[free] == 0.0)
@@ -147,7 +151,7 @@ def _is_outside(
 
 
 def _is_line_too_slow(objective: CandidateObjective, values: FloatArray) -> bool:
-    """Return whether a spectral line is aliased to so low a frequency that any drift fits it."""
+    """Return whether aliasing puts a spectral line at such a low frequency that a drift fits it."""
     if objective.term.template_search != "spectral_lines":
         return False
     context = objective.context
@@ -158,7 +162,7 @@ def _is_line_too_slow(objective: CandidateObjective, values: FloatArray) -> bool
 
 
 def _is_not_whole_count(objective: CandidateObjective, value: FloatArray, std: FloatArray) -> bool:
-    """Return whether a count is significantly different from every whole number."""
+    """Return whether a count differs significantly from every whole number."""
     counts = np.array([objective.parameters[k].is_integer for k in objective.free], dtype=np.bool_)
     nearest = np.maximum(np.round(np.abs(value)), 1.0) * np.where(value < 0, -1.0, 1.0)
     distance = np.abs(value - nearest)
@@ -182,7 +186,8 @@ def locate_shapes(objective: CandidateObjective, values: FloatArray) -> FloatArr
     """Return values at the best period and event time near the given ones, with one-step sizes.
 
     The statistic has a narrow ridge along which the period and the time of one event compensate
-    each other. Therefore the times of the first and the last event are searched, both together.
+    each other. Therefore this function searches the times of the first and the last event
+    together.
     """
     (period,), event = objective.shapes, objective.events[0]
     context = objective.context
@@ -223,7 +228,7 @@ def _with_value(values: FloatArray, index: int, value: float) -> FloatArray:
 def search_event_nearby(objective: CandidateObjective, expansion: LocalExpansion) -> LocalExpansion:
     """Return the fit with the best event time nearby, by its exact effect.
 
-    To first order a large step in the middle of a move is as good as one before it.
+    To first order, a large step in the middle of a move fits as well as one before the move.
     """
     best = expansion
     for _ in range(REFINEMENTS):
@@ -240,10 +245,11 @@ def search_event_nearby(objective: CandidateObjective, expansion: LocalExpansion
 
 
 def event_std(objective: CandidateObjective, expansion: LocalExpansion) -> float:
-    """Return the standard uncertainty of an event's time, s; `expansion` has it free, last.
+    """Return the standard uncertainty of an event's time, s; the time is the last free value.
 
-    Where the likelihood is no smooth hill (a small step in noise, a stamp that jumps while
-    all is at rest) it is the scatter of the times about, each by its likelihood.
+    The likelihood may have no smooth peak, for example for a small step in noise, or for a jump of
+    the timestamps during a rest. Then the result is the rms deviation of times of a grid from the
+    event, weighted by their likelihood.
     """
     information = _information_of_last(expansion.curvature)
     if information > SMOOTH_STD_S**-2.0:
@@ -262,7 +268,8 @@ def event_std(objective: CandidateObjective, expansion: LocalExpansion) -> float
 def _information_of_last(curvature: FloatArray) -> float:
     """Return the information of the last value with the other values free.
 
-    It is the Schur complement. A pseudo-inverse would call a value without information certain.
+    It is the Schur complement. A pseudo-inverse of the curvature would give a value without
+    information a variance of zero.
     """
     others, cross = curvature[:-1, :-1], curvature[:-1, -1]
     eliminated = cross @ np.linalg.pinv(others, hermitian=True) @ cross

@@ -1,17 +1,17 @@
 """Refits of a fit: with one more cause, with its events again, and with its gain again.
 
-A threshold or a limit hides part of a rate. There the derivative by the gain is zero, and a fit
-that starts from the base model's gain cannot leave it. Another cause that rotates or scales the
-rate would then be selected for the gain's error (a slip of the board before its first move, a
-non-orthogonal axis). Therefore the gain is searched again as if all rates were visible, and the
-result is judged by its exact likelihood.
+A threshold or a limit hides a part of the rates. For these rates, the derivative by the gain is
+zero, and a fit that starts from the gain of the base model cannot change it. The search would then
+explain the error of the gain by another cause that rotates or scales the rate, such as a slip of
+the board before its first move, or a non-orthogonal axis. Therefore this module searches the gain
+again as if all rates were visible, and judges the result by its exact likelihood.
 
-A dead band is fitted from several widths if its fit does not converge, because the likelihood jumps
-where the width passes the rate of a long move.
+If the fit of a dead band does not converge, it is started from several widths. The reason is that
+the likelihood jumps where the width passes the rate of a long move.
 
 What to use when: `extend_fit` for a candidate of the search; `refit_events` afterwards, because
-an event was found before the causes that came later; `refit_gain_exactly` for a fit to a motion
-with a clipping cause.
+an event was found before the later causes; `refit_gain_exactly` for a fit to a motion with a
+clipping cause.
 
 Source: Levenberg-Marquardt with an approximate Jacobian; Dennis and Schnabel, Numerical Methods
 for Unconstrained Optimization, chapter 10.
@@ -46,18 +46,19 @@ from gyrorig_solver.model import (
     value_parameters,
 )
 
-MAX_RESTARTS = 2  # each from where the last one ended
-# Deviations of the statistic's scatter above its mean: then the residual asks for it.
+MAX_RESTARTS = 2  # each from the end of the last one
+# Standard deviations by which the score statistic of the gain must exceed its mean for a new fit.
 SCORE_SIGMA = 4.0
-MIN_GAIN_NATS = 2.0  # less is no other place, but the same one better found
-# From where: what is best to first order, or by damped steps from next to none; where much is
-# swallowed the former is wild, where little is the latter may stay on the plain it began on.
+MIN_GAIN_NATS = 2.0  # with a smaller gain, it is the same optimum, found more exactly
+# Start values of the change of the gain. From 0, the fit begins with the best change to first
+# order, which is far off if much of the rates is hidden. From 1e-9, it takes damped steps from
+# almost no change, which can stay on a plateau of the likelihood if little is hidden.
 START_VALUES = (0.0, 1e-9)
-SCANNED_WIDTHS = np.geomspace(0.7, 1.7, 8)  # of a dead band, relative to that of the failed fit
+SCANNED_WIDTHS = np.geomspace(0.7, 1.7, 8)  # of a dead band, relative to the mean first width
 SCAN_EVALUATIONS = 15  # of each scanned fit
-MIN_EVENT_SHIFT_SIGMA = 0.1  # deviations: less is no reason to fit all causes again
-OBSERVABLE_SIGMA = 2.0  # deviations of an entry of the gain: then the data show that it changes
-MAX_GAIN_CHANGE = 0.2  # of a gain: a board that is turned by more was put on another way
+MIN_EVENT_SHIFT_SIGMA = 0.1  # standard uncertainties; a smaller shift needs no refit of all causes
+OBSERVABLE_SIGMA = 2.0  # standard deviations of an entry of the gain that the data determine
+MAX_GAIN_CHANGE = 0.2  # a larger change of the gain means that the board is mounted another way
 
 
 def extend_fit(space: Space, extension: FittedTerm) -> Space:
@@ -78,9 +79,9 @@ def extend_fit(space: Space, extension: FittedTerm) -> Space:
 def _fit_from_scanned_widths(space: Space, causes: Sequence[FittedTerm]) -> Space | None:
     """Return the likeliest fit from several widths of a dead band; None if none converges.
 
-    A width that passes the rate of a long move changes the likelihood by a jump, which no step of
-    a fit crosses. From the right side of all jumps the fit is smooth. The widths of all axes are
-    equal at first.
+    If the width passes the rate of a long move, the likelihood jumps, and no step of a fit crosses
+    the jump. A fit that starts on the right side of all jumps is smooth. All axes start with equal
+    widths.
     """
     bands = [k for k, cause in enumerate(causes) if cause.term.stage == "threshold"]
     if not bands:
@@ -102,8 +103,8 @@ def _fit_from_scanned_widths(space: Space, causes: Sequence[FittedTerm]) -> Spac
 def refit_events(space: Space) -> Space:
     """Refit the time of each event together with all other causes.
 
-    An event is found before other causes, and while its effect still biases the base model.
-    Without a refit, later causes would absorb the error of its time.
+    The search finds an event before other causes, while its effect still biases the base model.
+    Without a refit, later causes would absorb the error of the event time.
     """
     causes = list(space.fitted_terms)
     changed = False
@@ -178,7 +179,7 @@ class GainChange(LinearTerm):
         return signals.reshape(GAIN_PARAMETERS, *rates.shape)
 
     def describe(self, values: FloatArray) -> str:
-        """Describe the largest."""
+        """Describe the largest change."""
         return f"the gain is off by up to {np.abs(values).max():.2g}"
 
 
@@ -190,7 +191,7 @@ def has_clipping_cause(extensions: tuple[FittedTerm, ...]) -> bool:
 
 
 def refit_gain_exactly(solution: ConvergedFit) -> ConvergedFit:
-    """Refit the gain by its exact effect with clipping causes; unchanged without a gain."""
+    """Refit the gain by its exact effect; without clipping causes, return the fit unchanged."""
     if not has_clipping_cause(solution.fitted_terms):
         return solution
     for _ in range(MAX_RESTARTS):
@@ -221,8 +222,8 @@ def refit_gain_exactly(solution: ConvergedFit) -> ConvergedFit:
 def _candidate_changes(candidate: FittedCandidate) -> list[FloatArray]:
     """Return the whole change of the gain, and the change of its observable entries only.
 
-    An entry that hardly any motion determines can have any value within its standard deviation,
-    and a fit that starts there would converge elsewhere.
+    If hardly any motion determines an entry, it can have any value within its standard deviation.
+    A fit that starts at this value would converge to another optimum.
     """
     whole = candidate.extension.values
     observable = np.where(np.abs(whole) > OBSERVABLE_SIGMA * candidate.std, whole, 0.0)
@@ -230,7 +231,7 @@ def _candidate_changes(candidate: FittedCandidate) -> list[FloatArray]:
 
 
 def _is_gain_score_significant(projector: NuisanceProjector) -> bool:
-    """Return whether the score of the gain is significant, as if all rates were visible."""
+    """Return whether the score of the gain is significant if all rates count as visible."""
     change = GainChange()
     whitened = projector.evaluate_signals(
         lambda scene: change.tangent_signals(scene, np.zeros(GAIN_PARAMETERS)), term=change

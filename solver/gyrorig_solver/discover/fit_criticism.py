@@ -1,10 +1,10 @@
 """Significance tests of a fit's residual: every cause of the catalogue, and smooth functions.
 
-The tests say whether a fit leaves more than noise. They name nothing: the cause with the largest
-score need not be the one that acts.
+The tests show whether a residual contains more than noise. They do not name a cause, because the
+cause with the largest score may not be the cause that acts.
 
-What to use when: `criticise_fit` for a fit to rates; `findings_without_rates` where the reference
-has no rate at each moment, so that nothing can be tested.
+What to use when: `criticise_fit` for a fit to rates; `findings_without_rates` if the reference
+does not give the rate at every time, so that no cause can be tested.
 """
 
 import math
@@ -28,16 +28,16 @@ class FitCriticism:
 
     scores: tuple[CandidateScore, ...] = ()  # of causes that are not in the fit
     dependences: tuple[DependenceTest, ...] = ()
-    test_count: int = 0  # 0 where the reference allows no test
+    test_count: int = 0  # 0 if the reference allows no test
 
     @property
     def is_adequate(self) -> bool:
-        """Whether the fit leaves nothing but noise."""
+        """Whether the residual shows only noise."""
         return not self.scores and not self.dependences
 
     @property
     def leading_causes(self) -> tuple[str, ...]:
-        """The ids of the causes with the smallest p-values, at most three."""
+        """The ids of the causes with the smallest p-values, at most `LISTED_CAUSES`."""
         causes = dict.fromkeys(score.term.cause for score in self.scores)
         return tuple(causes)[:LISTED_CAUSES]
 
@@ -74,7 +74,8 @@ def scan_other_causes(
 def findings_without_rates(fit: GyroFit) -> CauseFindings:
     """Return the findings of a fit that cannot be searched: no cause is testable.
 
-    Known turns and gravity between rests give the sum of a motion, not its course.
+    References of known turns, and of gravity between rests, give the total rotation of a motion,
+    but not the rate at each time.
     """
     compared = fit.reference.partition(";")[0] or "a quantity of the board"
     why = (

@@ -1,8 +1,7 @@
 """Explain a fit: search for causes, check them, and assemble the findings.
 
-What to use when: `explain_space` from a fit of the base model, whatever its reference is;
-`explain_fit` for a fit to a motion; `assemble_findings` where the search was made for several
-boards together.
+What to use when: `explain_fit` from a base fit to a motion; `explain_search` if the search was
+made for several boards together; `assemble_findings` for a judged model of any kind of reference.
 """
 
 import time
@@ -66,8 +65,8 @@ def explain_fit(base: ConvergedFit, board: str) -> FitExplanation:
     """Search for the causes of the residual of a fit to a motion.
 
     Args:
-        base: the fit; it is left as it is.
-        board: its name.
+        base: the fit; the search does not change it.
+        board: name of the board.
     """
     start_s, space = time.monotonic(), MotionFitSpace(base)
     return explain_search(space, search_causes(space), board, start_s)
@@ -84,10 +83,10 @@ def explain_search(
 
     Args:
         base: the fit of the base model.
-        result: where the search ended.
-        board: its name.
+        result: the result of the search.
+        board: name of the board.
         start_s: when the work began, `time.monotonic`.
-        attributions: of causes by label, where several boards were searched together.
+        attributions: of causes by label, if several boards were searched together.
     """
     model = judge_model(JudgedModel(base, result), MOTION_CHECKS)
     findings = assemble_findings(model, start_s, attributions)
@@ -104,9 +103,9 @@ def assemble_findings(
     """Assemble the findings of a judged model: causes, limits, gains and calibration changes.
 
     Args:
-        model: with the verdicts of all checks.
+        model: the model with the verdicts of all checks.
         start_s: when the work began, `time.monotonic`.
-        attributions: of causes by label, where several boards were searched together.
+        attributions: of causes by label, if several boards were searched together.
     """
     base, space, result = model.base, model.space, model.result
     verdicts = tuple(model.verdicts.values())
@@ -170,19 +169,19 @@ def find_detection_limits(
         projection: the nuisance projector at the last fit.
         scores: the scores of all candidates at that fit.
         calibration: the calibration of that fit.
-        recording_count: how many there are.
+        recording_count: number of recordings.
         terms: all causes, testable or not.
     """
     limits: list[DetectionLimit] = []
     untestable: list[UntestableCause] = []
-    # The calibration is the last recording's: what is another's cannot harm it.
+    # The calibration is that of the last recording, so causes of other recordings do not bias it.
     scores = [
         score for score in scores if recording_index_of(score.term) in (None, recording_count - 1)
     ]
     separate_causes = {score.term.cause for score in scores if score.place is not None}
     for score in scores:
         if score.place is None and score.term.cause in separate_causes:
-            continue  # reported location by location
+            continue  # reported for each place separately
         parameter = value_parameters(score.term)[value_indices(score.term, score.place, "size")[0]]
         detectable = score.detectable_size
         size = detectable.detectable * parameter.typical_size
@@ -217,7 +216,7 @@ def find_detection_limits(
 def _untestable_causes(
     terms: Iterable[Term], projection: NuisanceProjector, scores: Sequence[CandidateScore]
 ) -> list[UntestableCause]:
-    """Return the causes that these residuals cannot test, with the reasons."""
+    """Return the causes that this residual cannot test, with the reasons."""
     untestable: list[UntestableCause] = []
     scored = {(score.term.cause, score.place) for score in scores}
     has_unit = any(state.has_angles for state in projection.states)
@@ -249,7 +248,7 @@ def _untestable_causes(
 
 
 def _describe_random_walk(projection: NuisanceProjector) -> str:
-    """Describe each axis' bias random walk, compared with that of a typical part."""
+    """Describe the bias random walk of each axis, relative to that of a typical part."""
     levels = np.mean([segment.noise.levels for segment in projection.segments], axis=0)
     axis_levels = np.sqrt(levels[:, 2])
     typical = np.sqrt([nominal_levels(float(white))[2] for white in levels[:, 0]])

@@ -1,8 +1,8 @@
-"""A fit whose residual is searched for causes, whatever its reference is.
+"""A fit whose residual is searched for causes, for any kind of reference.
 
-The search, the checks and the findings are one code. A kind of reference is a `FitSpace`: how its
-fit is repeated with causes, and what a signal is in units of its noise. Where two kinds differ on
-purpose, the difference is an attribute or a method of this class.
+The search, the checks and the findings are the same code for all references. Each kind of reference
+has a subclass of `FitSpace`, which repeats its fit with causes and whitens signals with its noise.
+Each intended difference between two kinds is an attribute or a method of this class.
 
 What to use when: `MotionFitSpace` for a board on a pan-tilt unit or at rest, `AttitudeFitSpace` for
 reference attitudes.
@@ -38,21 +38,21 @@ class NoiseAlternative:
 
     candidate: FittedCandidate
     effective_trials: float
-    likelihood_gain_nats: float  # noise levels fitted with the cause, against those without it
-    log_evidence: float  # of the cause with a typical bias, against a random walk without it
+    likelihood_gain_nats: float  # by the cause, with noise levels fitted with and without it
+    log_evidence: float  # of the cause with typical bias noise, minus a random walk without it
 
 
 @dataclass(slots=True)
 class SearchEffort:
-    """What the refits of a search have cost; common to all fits that start from one fit."""
+    """The effort of the refits of a search; common to all fits that start from one fit."""
 
     evaluations: int = 0  # of the likelihood
-    _latest: deque["weakref.ref[FitSpace]"] = field(default_factory=deque)  # with their caches
+    _latest: deque["weakref.ref[FitSpace]"] = field(default_factory=deque)  # fits with caches
 
     def add(self, space: "FitSpace") -> None:
-        """Count a refit, at least one evaluation, and free the caches of an older one.
+        """Count a refit as at least one evaluation, and free the caches of an older fit.
 
-        A search holds many fits, and the next projector is usually that of the latest one.
+        A search keeps many fits, and the next projector is usually that of the latest fit.
         """
         self.evaluations += max(1, space.convergence.evaluations)
         self._latest.append(weakref.ref(space))
@@ -63,20 +63,20 @@ class SearchEffort:
 
 
 class FitSpace(ABC):
-    """A fit and the causes in it. It never changes: a refit is another one."""
+    """A fit and the causes in it. It is immutable: a refit returns another fit."""
 
-    # Where nobody knows the noise of the reference, significance is not enough for a name.
+    # True if the noise of the reference is unknown: then significance is not enough for a name.
     needs_held_out_gain: bool = False
     terms: Mapping[str, Term]  # all causes by id, testable or not
-    base_terms: tuple[str, ...]  # what the base model contains
+    base_terms: tuple[str, ...]  # the terms of the base model
     recording_names: tuple[str, ...]
     duration_s: float  # of all recordings
     fitted_terms: tuple[FittedTerm, ...]
     convergence: Convergence
-    observability: ObservabilityAnalysis  # of G, the last (b, tau), and last the causes' values
+    observability: ObservabilityAnalysis  # of G, (b, tau), and at the end the causes' values
     effort: SearchEffort
     outliers: int = 0  # samples rejected as outliers of this model
-    has_typical_noise: bool = True  # levels are those of a typical part: no cause hides in them
+    has_typical_noise: bool = True  # noise levels of a typical part, which hide no cause
 
     @abstractmethod
     def projector(self, typical: bool = False) -> NuisanceProjector:
@@ -84,7 +84,7 @@ class FitSpace(ABC):
 
     @abstractmethod
     def projector_without(self, *dropped: int) -> NuisanceProjector:
-        """Return the projector with some causes taken out, their effects added back."""
+        """Return the projector without some causes, with their effects added to the residual."""
 
     @abstractmethod
     def refit(
@@ -94,11 +94,11 @@ class FitSpace(ABC):
 
     @abstractmethod
     def negative_log_likelihood(self, noise_of: Self) -> float:
-        """Return that of the fit, nats, at the typical noise levels of another fit."""
+        """Return the negative log-likelihood, nats, at the typical noise levels of another fit."""
 
     @abstractmethod
     def log_likelihoods(self, models: Sequence[Self]) -> list[float]:
-        """Return that of each model, at the noise of this fit, on the data that all of them use."""
+        """Return the log-likelihoods at the noise of this fit, on the data that all models use."""
 
     @abstractmethod
     def reduced_chi2(self) -> float:
@@ -112,7 +112,7 @@ class FitSpace(ABC):
     def parameter_shift(self, other: Self) -> FloatArray:
         """Return the change of G and each (b, tau) from this fit to another one, (board,).
 
-        Only the last recording's (b, tau) need be there; the others can be zero.
+        Only the change of (b, tau) of the last recording is necessary; the others can be zero.
         """
 
     @abstractmethod
@@ -120,32 +120,32 @@ class FitSpace(ABC):
         """Test the residual for smooth functions; `projector`: at the fit, with fitted noise."""
 
     def changes_law(self, term: Term) -> bool:
-        """Return whether a cause changes the motion law, so that only a fit with it judges it."""
+        """Return whether a cause changes the motion law, so that its gain needs a separate fit."""
         del term
         return False
 
     def release_caches(self) -> None:  # noqa: B027 - nothing to free by default
-        """Free what is computed again when it is needed."""
+        """Free the caches, which are computed again when needed."""
 
     def confirm(self) -> Self:
-        """Return the fit, continued where new derivatives would change its values."""
+        """Return the fit, continued if new derivatives would change its values."""
         return self
 
     def refit_gain(self) -> Self:
-        """Return the fit with its gain searched again where a cause hides rates from it."""
+        """Return the fit with its gain searched again if a cause hides rates from it."""
         return self
 
     def noise_alternative(
         self, candidate: FittedCandidate, trials: float, extended: Self, tests: int, alpha: float
     ) -> NoiseAlternative | None:
-        """Return a candidate that may be the bias' random walk; None if it is confirmed.
+        """Return a candidate that a random walk of the bias may explain; None if it is confirmed.
 
         Args:
             candidate: as found with typical noise levels.
             trials: the effective number of its templates.
-            extended: the fit with it.
+            extended: the fit with the candidate.
             tests: how many share the false alarms.
-            alpha: rate of false alarms of all of them.
+            alpha: false-alarm rate of all tests together.
         """
         del candidate, trials, extended, tests, alpha
         return None

@@ -24,8 +24,8 @@ def value_stds(space: FitSpace, k: int, event_std: float | None = None) -> Float
 
     Args:
         space: the fit.
-        k: which of its causes.
-        event_std: of the time of an event, which the fit itself holds.
+        k: index of the cause in the fit.
+        event_std: standard uncertainty of the time of an event, which the fit holds fixed.
     """
     extension, positions = space.fitted_terms[k], value_positions(space, k)
     variance = np.diag(space.observability.covariance)[positions]

@@ -1,9 +1,9 @@
 """Cross-validation: the gain of an extended model on data that it was not fitted to.
 
-The recording is cut into windows of some moves each. Each fold of windows is left out in turn:
-gain, bias, time offset and causes are fitted to the others. In the left-out windows only the
-motion's own unknowns (such as a move's start) are fitted, in both models alike. A whole recording
-can be left out too (`held_out_recording`).
+The recording is divided into windows of some moves each. Each fold of windows is left out in turn:
+gain, bias, time offset and causes are fitted to the others. In the left-out windows, both models
+fit only the unknowns of the motion, such as the start of a move. A whole recording can be left out
+too (`held_out_recording`).
 
 What to use when: `cross_validate_causes` for the causes of a fit, all together and one by one;
 `gain_on_recording` for a second recording.
@@ -21,9 +21,9 @@ from gyrorig_solver.estimate import ConvergedFit, NuisanceProjector, Series
 from gyrorig_solver.numerics import normal_quantile
 
 WINDOW_S = 10.0
-FOLDS = 8  # windows are dealt out to so many folds: each fit lacks one fold
-MIN_WINDOWS = 4  # windows; fewer give no useful interval
-SETTLE_S = 0.3  # a move's end that the low-pass still carries
+FOLDS = 8  # groups of windows; each fit leaves out one of them
+MIN_WINDOWS = 4  # fewer windows give no useful interval
+SETTLE_S = 0.3  # time after a move in which the low-pass output still contains the move
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -31,7 +31,7 @@ class HeldOutGains:
     """The gains of a fit's causes on held-out windows."""
 
     combined: HeldOutGain
-    by_cause: Mapping[int, HeldOutGain]  # by a cause's number in the fit: all others stay
+    by_cause: Mapping[int, HeldOutGain]  # by index of the cause in the fit; the others stay
 
 
 def cross_validate_causes(
@@ -41,7 +41,7 @@ def cross_validate_causes(
 
     Args:
         projector: the nuisance projector at the fit, with all of its causes.
-        causes: their numbers in the fit; the others belong to the base model.
+        causes: their indices in the fit; the other causes belong to the base model.
     """
     windows = _window_numbers(projector, projector.channel_lengths[::3])
     count = int(windows.max()) + 1
@@ -69,7 +69,7 @@ def gain_on_recording(
 
     Args:
         base: a fit of the base model to other recordings of the board.
-        extended: one of the extended model.
+        extended: a fit of the extended model to the same recordings.
         held_out: the recording.
     """
     extended_fit = held_out.fit_model(extended)
@@ -93,7 +93,7 @@ def gain_on_recording(
     if left_out:
         how += f"; without the causes that only the other recording has: {left_out}"
     gain = compare_residuals(projector, how, *whitened)
-    # The change of the motion from its prior counts too.
+    # The likelihood also contains the deviation of the motion from its prior.
     gain_nats = extended_fit.log_likelihood - base_fit.log_likelihood
     window_gain = gain.log_likelihood
     shift = gain_nats - window_gain.value
@@ -118,8 +118,8 @@ def compare_residuals(
     Args:
         projection: the nuisance projector at a fit to these data.
         how: which data they are.
-        before: whitened residual of the one model, (all,).
-        after: that of the other one, (all,).
+        before: whitened residual of the first model, (all,).
+        after: whitened residual of the second model, (all,).
     """
     windows = _window_numbers(projection, projection.channel_lengths[::3])
     count = int(windows.max()) + 1
@@ -148,7 +148,12 @@ def compare_residuals(
 
 
 def _rms_change(squares: list[FloatArray], errors: list[float]) -> ConfidenceInterval | None:
-    """Return how an rms over moves changes, from their squares and the rms before and after."""
+    """Return the change of an rms over moves.
+
+    Args:
+        squares: of each move, before and after, (moves,).
+        errors: the rms before and after.
+    """
     if squares[0].size < MIN_WINDOWS:
         return None
     differences = squares[1] - squares[0]
@@ -156,15 +161,15 @@ def _rms_change(squares: list[FloatArray], errors: list[float]) -> ConfidenceInt
 
 
 def _confidence_interval(samples: FloatArray, value: float, factor: float) -> ConfidenceInterval:
-    """Return a figure with the 95 % interval that its windows' scatter gives it."""
+    """Return a value with its 95 % interval from the scatter over the windows."""
     half = normal_quantile(0.025) * float(np.std(samples, ddof=1) / np.sqrt(samples.size)) * factor
     return ConfidenceInterval(value, value - half, value + half)
 
 
 def _window_numbers(projection: NuisanceProjector, lengths: Sequence[int]) -> IntArray:
-    """Return the window of each value, by part and axis, counted over all recordings.
+    """Return the window number of each value, in order of part and axis.
 
-    `lengths`: values of each part on one axis.
+    The numbers continue over all recordings. `lengths`: values of each part on one axis.
     """
     numbers, first = [], 0
     for state, length in zip(projection.states, lengths, strict=True):

@@ -1,11 +1,11 @@
 """A fitted model on a held-out recording of the same board.
 
-Gain and causes stay as they were fitted; bias, time offset and the motion's own unknowns are
-fitted to the held-out recording. Causes of scope `recording` are left out. The score is the log
-likelihood of the residual, with the noise levels of that recording.
+Gain and causes are held at their fitted values. Bias, time offset and the unknowns of the motion
+are fitted to the held-out recording. Causes of scope `recording` are left out. The score is the
+log-likelihood of the residual, with the noise levels of that recording.
 
-What to use when: `HeldOutRecording.fit_model` for each model, models to be compared with the same
-noise. `held_out_gain.gain_on_recording` does both for two fits.
+What to use when: `HeldOutRecording.fit_model` for each model; models that are compared must have
+the same noise. `held_out_gain.gain_on_recording` compares two fits in this way.
 """
 
 from dataclasses import dataclass, replace
@@ -29,18 +29,18 @@ from gyrorig_solver.estimate.session_noise import fit_session_noise
 from gyrorig_solver.estimate.trust_region import CONVERGED_SIGMA
 
 MAX_ITERATIONS = 12
-MAX_LAG_STEP_S = 0.05  # of one step
+MAX_LAG_STEP_S = 0.05  # largest change of the time offset in one step
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class HeldOutFit:
     """One model on a recording that it was not fitted to."""
 
-    session: SessionFit  # at the best bias, offset and motion
+    session: SessionFit  # at the best bias, time offset and motion
     gain: FloatArray  # (3, 3)
     noise: NoiseModel
-    log_likelihood: float  # nats, up to what all models at the same noise have in common
-    left_out: tuple[FittedTerm, ...]  # causes that this recording does not have, or not show
+    log_likelihood: float  # nats, up to a constant of all models with the same noise
+    left_out: tuple[FittedTerm, ...]  # causes of other recordings, or that are not testable here
 
     @property
     def whitened(self) -> list[FloatArray]:
@@ -58,11 +58,12 @@ class HeldOutRecording:
     def fit_model(
         self, solution: ConvergedFit, same_noise_as: HeldOutFit | None = None
     ) -> HeldOutFit:
-        """Fit bias, time offset and motion to a held model; return its likelihood here.
+        """Fit bias, time offset and motion with gain and causes held; return the fit.
 
         Args:
-            solution: its gain and causes are taken.
-            same_noise_as: another model on it, whose noise levels and samples in use are taken.
+            solution: the fit that gives gain and causes.
+            same_noise_as: the fit of another model to this recording. It gives the noise levels and
+                the samples that are used.
         """
         applicable, left_out = self._applicable_terms(solution)
         if same_noise_as is None:
@@ -86,7 +87,7 @@ class HeldOutRecording:
     def _applicable_terms(
         self, solution: ConvergedFit
     ) -> tuple[tuple[FittedTerm, ...], tuple[FittedTerm, ...]]:
-        """Return the causes that are the same here, held as they are, and the others."""
+        """Return the causes that also act in this recording, held fixed, and the other causes."""
         series = self.session.series[0]
         scene = self.session.signal_state(series, series.part_slices()[0], solution.gain)
         applicable: list[FittedTerm] = []
@@ -105,7 +106,7 @@ class HeldOutRecording:
 
 
 def _fit_nuisances(session: SessionFit, gain: FloatArray, noise: NoiseModel | None) -> NoiseModel:
-    """Fit bias, offset and motion to a model that is held; return the noise, found or given."""
+    """Fit bias, time offset and motion to a held model; return the fitted or the given noise."""
     free = slice(GAIN_PARAMETERS, BASE_PARAMETERS)
     prior = np.array([PRIOR_STD["bias"]] * 3 + [PRIOR_STD["time_offset"]]) ** -2.0
     own_noise = noise is None

@@ -1,9 +1,9 @@
 """The lag of the samples behind the reference, by time: estimates in windows of some seconds.
 
-In each window, the lag changes the samples by the time derivative of the rate. The score and the
-information of all windows, with the nuisance parameters eliminated, are a nonparametric estimate of
-the lag by time. The shape of a clock's error is compared with it at little cost, so that many
-periods and phases can be tried.
+In each window, the lag changes the samples in proportion to the time derivative of the rate. The
+score and the information of all windows, with the nuisance parameters eliminated, are a
+nonparametric estimate of the lag over time. It is fast to compare the shape of a clock error with
+this estimate, so that the search can try many periods and phases.
 
 What to use when: `LagSeries.at` for the estimate; `lag_templates` for the templates of a cause that
 fit it best; `lag_family` for the test whether the lag changes.
@@ -25,11 +25,11 @@ from gyrorig_solver.numerics import chi2_upper_tail
 
 WINDOW_S = 2.0
 MAX_WINDOWS = 60
-POINTS_PER_WINDOW = 5  # over which a shape is averaged
-WINDOWS_PER_BATCH = 20  # that are whitened together
-NEGLIGIBLE_INFORMATION = 1e-6  # of the largest energy: such a lag is a parameter of the fit
-MAX_TEMPLATES = 2  # that are tried exactly
-MIN_DISTANCE = 0.02  # in the share of the statistic that two templates do not have in common
+POINTS_PER_WINDOW = 5  # times over which a shape is averaged
+WINDOWS_PER_BATCH = 20  # windows that are whitened together
+NEGLIGIBLE_INFORMATION = 1e-6  # share of the energy; the fit absorbs a lag with less information
+MAX_TEMPLATES = 2  # templates that are fitted exactly
+MIN_DISTANCE = 0.02  # share of the information that two templates do not have in common
 LAG_FAMILY = "lag_time"
 
 
@@ -48,7 +48,7 @@ class LagSeries:
 
     @property
     def p_value(self) -> float:
-        """The probability of such a lag by chance, where it does not change."""
+        """The p-value of the test that the lag does not change."""
         values, vectors = np.linalg.eigh(self.statistics.information)
         keep = values > NEGLIGIBLE_INFORMATION * max(float(self.statistics.energy.max()), 1e-300)
         score = vectors[:, keep].T @ self.statistics.score
@@ -56,7 +56,7 @@ class LagSeries:
         return chi2_upper_tail(statistic, int(keep.sum())) if keep.any() else 1.0
 
     def score_shapes(self, shapes_s: FloatArray) -> FloatArray:
-        """Return the score statistic (b,) of each of some lags in the windows, (b, m)."""
+        """Return the score statistic (b,) of each shape; `shapes_s`: lags by window, (b, m)."""
         information = np.einsum("bm,bm->b", shapes_s @ self.statistics.information, shapes_s)
         energy = shapes_s**2 @ self.statistics.energy
         is_seen = information > NEGLIGIBLE_INFORMATION * energy
@@ -88,7 +88,7 @@ def lag_templates(projection: NuisanceProjector, term: Term) -> FloatArray:
     series = LagSeries.at(projection)
     middle_s = 0.5 * (series.edges_s[:-1] + series.edges_s[1:])
     bank = np.unique(np.concatenate([term.template_bank(s) for s in projection.states]), axis=0)
-    # A correction inside a window: the mean over the window counts.
+    # A correction of the clock can be inside a window, so the shape is averaged over the window.
     width_s = series.edges_s[1] - series.edges_s[0]
     shares = (np.arange(POINTS_PER_WINDOW) + 0.5) / POINTS_PER_WINDOW - 0.5
     fine_s = (middle_s[:, None] + shares * width_s).ravel()

@@ -2,7 +2,7 @@
 
 Samples and replies follow the moves of one law. With the moves of another law, the effect of a
 candidate looks different, and the data reject the candidate for that reason only. A first-order fit
-at the present model is therefore no judgement of such a candidate; a full fit takes little longer.
+at the present model therefore cannot judge such a candidate. A full fit takes little longer.
 
 What to use when: `fit_law_cause` for one candidate; `judge_law_cause` for a cause of a fit.
 
@@ -24,18 +24,18 @@ from gyrorig_solver.estimate import FittedTerm, free_term
 from gyrorig_solver.estimate.noise.outliers import OUTLIER_SIGMA
 from gyrorig_solver.model import Term, value_indices, value_parameters
 
-# A fit that then has not converged, and predicts less gain than is needed, is given up.
+# A fit ends if it has not converged after these evaluations and predicts less gain than it needs.
 FIRST_EVALUATIONS = 12
-OPTIMUM_FACTOR = 3.0
-MIN_OPTIMUM_NATS = 10.0  # that another optimum may gain, where this one gains nothing
-OUTLIER_NATS = 0.5 * OUTLIER_SIGMA**2  # that a fit loses by the rejection of a sample
+OPTIMUM_FACTOR = 3.0  # upper bound of the best optimum's gain, relative to the optimum found
+MIN_OPTIMUM_NATS = 10.0  # smallest gain of the optimum found that the bound assumes
+OUTLIER_NATS = 0.5 * OUTLIER_SIGMA**2  # log-likelihood that a rejected sample costs
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LawCandidate(Generic[Space]):
     """A cause that changes the motion law, with the fit under its law."""
 
-    space: Space  # the fit with the cause, its last one
+    space: Space  # the last fit with the cause
     candidate: FittedCandidate | None  # None: the fit did not converge
 
 
@@ -52,11 +52,11 @@ def fit_law_cause(
     `largest_evidence`.
 
     Args:
-        space: the fit that the gain is relative to.
+        space: the present fit, to which the gain is relative.
         term: the cause.
-        others: the other causes of the new fit; None: all of the present fit.
-        needed_nats: evidence of another candidate. With less, this one is not chosen.
-        replaced_nats: log-likelihood gained by the causes of the fit that are not in the new one.
+        others: the other causes of the new fit; None: all causes of the present fit.
+        needed_nats: evidence of another candidate. With less evidence, this cause is not chosen.
+        replaced_nats: gain of the log-likelihood by the causes that are only in the present fit.
     """
     other_terms = space.fitted_terms if others is None else others
     extended = space.refit([*other_terms, free_term(term)], FIRST_EVALUATIONS)
@@ -89,13 +89,13 @@ def largest_evidence(judged: FittedCandidate, outliers: int, replaced_nats: floa
     """Return a bound on the evidence of a cause at any of its places.
 
     The cause at one place is a special case of the cause at all places, and the Occam factor is at
-    most 1. So the evidence is at most the gain at all places. Each outlier that agrees with the law
-    adds at most its penalty. A fit can end at a local optimum; the best one has less than
-    `OPTIMUM_FACTOR` of its gain (`test_law_bounds`).
+    most 1. Therefore the evidence is at most the gain at all places. Each outlier that agrees with
+    the law adds at most its penalty. A fit can end at a local optimum. The gain of the best optimum
+    is less than `OPTIMUM_FACTOR` times that gain (`test_law_bounds`).
 
     Args:
         judged: the cause at all places.
-        outliers: of its fit.
+        outliers: number of outliers of its fit.
         replaced_nats: as in `fit_law_cause`.
     """
     gain_nats = judged.delta_log_likelihood + replaced_nats + OUTLIER_NATS * outliers
@@ -105,17 +105,18 @@ def largest_evidence(judged: FittedCandidate, outliers: int, replaced_nats: floa
 def judge_law_cause(
     space: Space, k: int, without: Space, place: str | None = None
 ) -> FittedCandidate:
-    """Return what a cause of a fit gains over another fit.
+    """Return a cause of a fit as a candidate, with its gain over another fit.
 
     Args:
         space: the fit with the cause.
-        k: which of its causes.
+        k: index of the cause in the fit.
         without: the other fit.
-        place: of the cause; None: all.
+        place: of the cause; None: all places.
     """
     gain_nats, nats = without.log_likelihoods([space, without])
     gain_nats -= nats
-    # The likelihoods leave out what either fit rejects, and a fit rejects what it explains badly.
+    # The likelihoods leave out the outliers of both fits, but a fit rejects the samples that it
+    # explains badly.
     gain_nats -= OUTLIER_NATS * (space.outliers - without.outliers)
     extension, covariance = space.fitted_terms[k], _value_covariance(space, k)
     evidence = gain_nats + _occam_nats(extension, extension.free_indices, covariance)
@@ -137,12 +138,12 @@ def _value_covariance(space: Space, k: int) -> FloatArray:
 
 
 def _occam_nats(extension: FittedTerm, indices: IntArray, covariance: FloatArray) -> float:
-    """Return the logarithm of the Occam factor of some sizes; `covariance`: theirs.
+    """Return the logarithm of the Occam factor of some sizes; `covariance`: of these sizes.
 
-    A size that the data do not determine has the width of its prior, and the factor 1.
+    A size that the data do not determine has the width of its prior and the factor 1.
     """
     parameters = value_parameters(extension.term)
-    # A normal prior of this width is as high at zero as the Cauchy prior.
+    # A normal prior of this width has the same density at zero as the Cauchy prior.
     width = np.sqrt(np.pi / 2.0) * np.array([parameters[index].typical_size for index in indices])
     limited = covariance - covariance @ np.linalg.solve(covariance + np.diag(width**2), covariance)
     nats = 0.5 * float(np.linalg.slogdet(2.0 * np.pi * limited)[1])

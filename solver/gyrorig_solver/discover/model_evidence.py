@@ -1,8 +1,9 @@
 """One objective for the models that a search visits: the log marginal likelihood.
 
-Laplace's approximation at a converged fit: the likelihood of the residual and of the reference's
-unknowns, at one noise and over the blocks that all models use, times the Occam factor of the
-causes' values. The priors are those of `exact_fit`: Cauchy for sizes, uniform for shapes.
+It is Laplace's approximation at a converged fit: the likelihood of the residual and of the unknowns
+of the reference, times the Occam factor of the values of the causes. All models are compared with
+the same noise model and on the blocks that all of them use. The priors are those of `exact_fit`:
+Cauchy for sizes, uniform for shapes.
 
 Source: MacKay, Information Theory, Inference, and Learning Algorithms, chapter 28.
 """
@@ -14,11 +15,11 @@ import numpy as np
 from gyrorig_solver.discover.fit_space import FitSpace, Space
 from gyrorig_solver.model import value_indices, value_parameters
 
-# A visited model replaces the last one only if noise does not explain its lead, and so that a
-# cause that was removed as insignificant does not return.
+# A visited model replaces the last one only with this lead. Noise does not explain the lead, and it
+# is more than the gain of a cause that was removed as insignificant.
 MIN_LEAD_NATS = 10.0
-HELD_SHAPES = 400  # different values of a held shape, as the periods of `clock_sawtooth`
-EVENT_STD_S = 0.01  # usual uncertainty of an event's time, which a fit holds fixed
+HELD_SHAPES = 400  # number of possible values of a held shape, for example a saw-tooth's period
+EVENT_STD_S = 0.01  # typical standard uncertainty of an event's time, which a fit holds fixed
 
 
 def best_model(
@@ -27,9 +28,9 @@ def best_model(
     """Return the visited model with the most evidence; `last` unless another one clearly leads.
 
     Args:
-        last: where the search ended.
-        visited: other models of the same recordings; those that did not converge do not count.
-        min_lead_nats: evidence by which another model must lead.
+        last: the model at the end of the search.
+        visited: other models of the same recordings; models that did not converge are ignored.
+        min_lead_nats: lead in log evidence that another model needs.
     """
     candidates = [space for space in visited if space.convergence.converged and space is not last]
     if not candidates:

@@ -1,6 +1,6 @@
-"""The fit of a board on a pan-tilt unit, or at rest throughout, as a space for the search.
+"""The fit of a board on a pan-tilt unit, or at rest all the time, as a space for the search.
 
-What to use when: `MotionFitSpace` around a fit that `likelihood_fit` made.
+What to use when: `MotionFitSpace` for a fit of `likelihood_fit`.
 """
 
 from collections.abc import Sequence
@@ -54,7 +54,7 @@ class MotionFitSpace(FitSpace):
     """A fit to the motion of a unit or to rest."""
 
     def __init__(self, solution: ConvergedFit, effort: SearchEffort | None = None) -> None:
-        """Wrap a fit; its recordings have contexts. `effort`: of the search that made it."""
+        """Use a fit whose recordings have contexts; `effort`: of the search that made it."""
         self.effort = SearchEffort() if effort is None else effort
         self.solution, self.terms = solution, catalogue()
         self.fitted_terms, self.convergence = solution.fitted_terms, solution.convergence
@@ -72,9 +72,9 @@ class MotionFitSpace(FitSpace):
         return build_projector(self.solution, typical)
 
     def projector_without(self, *dropped: int) -> NuisanceProjector:
-        """Return the projector with some causes taken out, their effects added back.
+        """Return the projector without some causes, with their effects added to the residual.
 
-        A cause that changes the motion law is taken out by a fit under the other law.
+        A cause that changes the motion law is removed by a fit under the law without it.
         """
         others = [term for j, term in enumerate(self.fitted_terms) if j not in dropped]
         removed = [self.fitted_terms[k] for k in dropped]
@@ -87,7 +87,7 @@ class MotionFitSpace(FitSpace):
     def refit(
         self, fitted_terms: Sequence[FittedTerm], max_evaluations: int = MAX_EVALUATIONS
     ) -> Self:
-        """Return the fit with these causes, from the values of this one."""
+        """Return the fit with these causes, started from the values of this fit."""
         refitted = refit_with_terms(self.solution, fitted_terms, max_evaluations)
         space = type(self)(refitted, self.effort)
         self.effort.add(space)
@@ -107,26 +107,29 @@ class MotionFitSpace(FitSpace):
         return shift
 
     def release_caches(self) -> None:
-        """Free what the sessions compute again when it is needed."""
+        """Free the caches of the sessions, which they compute again when needed."""
         self.solution.release_caches()
 
     def confirm(self) -> Self:
-        """Return the fit, continued where new derivatives would change its values."""
+        """Return the fit, continued if new derivatives would change its values."""
         return type(self)(confirm_fit(self.solution), self.effort)
 
     def refit_gain(self) -> Self:
-        """Return the fit with its gain searched again where a threshold or limit hides rates."""
+        """Return the fit with its gain searched again if a threshold or limit hides rates."""
         refitted = refit_gain_exactly(self.solution)
         return self if refitted is self.solution else type(self)(refitted, self.effort)
 
     def negative_log_likelihood(self, noise_of: Self) -> float:
-        """Return that of the fit at the typical noise levels of another one."""
+        """Return the negative log-likelihood of the fit at the typical noise levels of another."""
         noises = [limit_to_typical(noise) for noise in noise_of.solution.noises]
         return negative_log_likelihood(self.solution, noises)
 
     def log_likelihoods(self, models: Sequence[Self]) -> list[float]:
-        """Return that of each model, up to a constant, at the typical noise of this fit."""
-        # Outliers and blocks with uncertain timing differ between models.
+        """Return the log-likelihood of each model, up to a constant, at this fit's typical noise.
+
+        Only blocks that all models use take part, because outliers and blocks with uncertain timing
+        differ between models.
+        """
         noises = [limit_to_typical(noise) for noise in self.solution.noises]
         used = [
             np.logical_and.reduce(masks)
@@ -137,7 +140,7 @@ class MotionFitSpace(FitSpace):
     def _log_likelihood(
         self, solution: ConvergedFit, noises: Sequence[NoiseModel], used: Sequence[BoolArray]
     ) -> float:
-        """Return that of one model. The noise in motion is that of this fit: the same weights."""
+        """Return the log-likelihood of one model, with the noise in motion of this fit."""
         masks = iter(used)
         total = 0.0
         for session, own_session, noise in zip(
@@ -156,13 +159,13 @@ class MotionFitSpace(FitSpace):
     ) -> NoiseAlternative | None:
         """Return a candidate that the fitted noise levels do not confirm; None if they do.
 
-        It is confirmed if the likelihood rises by as much when the levels are fitted with it: a
-        step does not explain a real random walk of the bias. It is also confirmed if it gains as
-        much by the levels that were fitted without it. With enough rests these levels come from
-        the rests only, so that they do not contain effects at the edges of moves, which no random
-        walk of the bias produces.
+        The candidate is confirmed if its gain is significant with noise levels that are fitted
+        in both models. If the bias has a real random walk, a step does not explain the walk.
+        The candidate is also confirmed if its gain is significant with the levels that were fitted
+        without it. With enough rests, these levels come from the rests only. They then contain no
+        effects at the edges of moves, which a random walk of the bias does not produce.
         """
-        # No random walk of the bias is like a change of the moves, which the replies follow too.
+        # A random walk of the bias does not imitate a change of the moves, which the replies show.
         if self.has_typical_noise or self.changes_law(candidate.extension.term):
             return None
         before, after, extension = self.solution, extended.solution, candidate.extension

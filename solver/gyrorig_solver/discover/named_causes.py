@@ -1,7 +1,7 @@
-"""The findings of a cause: what is stated of it.
+"""The finding of a named cause: all that the report states about it.
 
-What to use when: `name_cause` for a cause of a fit; `name_outside_fit` for one that shows elsewhere
-than in the mean of the residual.
+What to use when: `name_cause` for a cause of a fit; `name_outside_fit` for a cause that the mean of
+the residual does not show.
 """
 
 from collections.abc import Sequence
@@ -30,7 +30,7 @@ from gyrorig_solver.model import (
     value_parameters,
 )
 
-ACTING_SIGMA = 3.0  # a part this many deviations from zero is where a cause acts
+ACTING_SIGMA = 3.0  # standard deviations from zero of a part on which a cause acts
 
 
 def name_cause(
@@ -41,15 +41,15 @@ def name_cause(
     tests: int,
     gain: HeldOutGain | None,
 ) -> NamedCause:
-    """Return what is stated of a cause of a fit.
+    """Return the finding of a cause of a fit.
 
     Args:
         space: the fit.
-        k: which of its causes.
-        ranked: its ranking.
-        calibration: of the fit.
+        k: index of the cause in the fit.
+        ranked: the ranking of the cause.
+        calibration: the calibration of the fit.
         tests: how many share the false alarms.
-        gain: on held-out data.
+        gain: the gain of the cause on held-out data.
     """
     extension, candidate = space.fitted_terms[k], ranked.candidate
     all_sizes = value_indices(extension.term, role="size")
@@ -85,19 +85,19 @@ def name_outside_fit(
     one_of: tuple[str, ...] = (),
     rivals: tuple[RivalCause, ...] = (),
 ) -> NamedCause:
-    """Return what is stated of a cause that the fit does not contain, and that biases nothing.
+    """Return the finding of a cause that is not in the fit and does not bias the calibration.
 
     Args:
         term: the cause.
-        sizes: of all its values, (k,).
+        sizes: all its values, (k,).
         stds: their standard uncertainties, (k,).
-        where: the parts at which it acts.
-        statistic: twice the log-likelihood that it wins.
+        where: the parts on which it acts.
+        statistic: twice the gain of the log-likelihood.
         degrees_of_freedom: of the statistic.
-        p_value: all tests counted.
-        posterior: among its rivals.
+        p_value: with all tests counted.
+        posterior: probability among its rivals.
         one_of: the rivals that the data do not exclude.
-        rivals: all of them.
+        rivals: all rivals.
     """
     extension = FittedTerm(term, np.asarray(sizes, np.float64), np.zeros(0, dtype=np.int64))
     return NamedCause(
@@ -132,7 +132,7 @@ def _fitted_values(
 
 
 def _acting_parts(extension: FittedTerm, stds: FloatArray) -> tuple[str, ...]:
-    """Return the parts with significant sizes of a cause, at least the most significant."""
+    """Return the parts with significant sizes of a cause, at least the most significant part."""
     sigma = np.abs(extension.values) / stds
     strength = {
         place: float(sigma[value_indices(extension.term, place, "size")].max())

@@ -1,9 +1,9 @@
 """Errors of the unit's ramps, from its replies: fitted accelerations, or a wrong base speed.
 
-The unit's replies follow its true ramps, and the reference fits each axis' acceleration to them.
-The residual therefore shows nothing. The fitted accelerations are compared with the commanded ones.
-A wrong base speed makes every move shorter. Starts and time offset absorb that, but the replies
-during the ramps show it.
+The unit's replies follow its true ramps, and the reference fits the acceleration of each axis to
+them. The residual therefore does not show an error of the acceleration. This module compares the
+fitted accelerations with the commanded accelerations. A wrong base speed makes every move shorter.
+The starts of the moves and the time offset absorb that, but the replies during the ramps show it.
 """
 
 from dataclasses import dataclass, replace
@@ -21,8 +21,8 @@ from gyrorig_solver.numerics import chi2_upper_tail, normal_quantile
 from gyrorig_solver.reference import PanTiltReference
 from gyrorig_solver.reference.unit.law_fit import compare_base_speeds
 
-DETECTION_POWER = 0.8  # of what is called detectable
-# Up to four times a factory setting of 2.9 deg/s.
+DETECTION_POWER = 0.8  # power of the test at the smallest detectable size
+# Up to four times the factory setting of 2.9 deg/s.
 BASE_SPEED_GRID_RAD_S = np.geomspace(5e-4, 0.2, 14)
 
 
@@ -38,9 +38,9 @@ def detect_ramp_error(solution: ConvergedFit, tests: int, alpha: float) -> RampR
     """Compare the fitted accelerations with the commanded ones; return a cause or limits.
 
     Args:
-        solution: the last fit of a search; what changes the law of motion is in it.
+        solution: the last fit of a search, with the causes that change the motion law.
         tests: how many share the false alarms.
-        alpha: rate of false alarms of all of them.
+        alpha: false-alarm rate of all tests together.
     """
     term = term_of_law("acceleration")
     if any(
@@ -101,10 +101,10 @@ def detect_ramp_error(solution: ConvergedFit, tests: int, alpha: float) -> RampR
 
 
 def _compare_base_speed_jump(named: NamedCause, solution: ConvergedFit) -> NamedCause:
-    """Return the cause, or an unknown base speed instead, whichever the polls favour.
+    """Return the cause or an unknown base speed, whichever is more likely given the polls.
 
-    Below the base speed a motor starts without a ramp. With the commanded motion profile such a
-    ramp looks steeper; the position counts separate the two.
+    Below the base speed a motor starts without a ramp. Compared with the commanded motion profile,
+    the whole ramp then looks steeper. The position counts distinguish the two causes.
     """
     term = term_of_law("base_speed")
     if any(fitted_term.term.cause == term.cause for fitted_term in solution.fitted_terms):

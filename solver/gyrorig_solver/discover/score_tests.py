@@ -1,10 +1,11 @@
 """Score tests of every cause of the catalogue on a residual.
 
 The tangent signals of each template of a cause are whitened and projected orthogonally to all
-nuisance parameters. T = s' A^-1 s is chi-squared in noise, with one degree of freedom per size. The
-best of many templates is judged by the effective number of independent ones among them (Galwey,
-Genet. Epidemiol. 33 (2009) 559) and by the number of tests of the catalogue. A cause that changes
-the motion law is tested under its own law: the replies and the moves that follow them take part.
+nuisance parameters. With score s and information A, the statistic T = s' A^-1 s of noise is
+chi-squared with one degree of freedom per size. The p-value of the best template is multiplied by
+the effective number of independent templates (Galwey, Genet. Epidemiol. 33 (2009) 559) and by the
+number of tests of the catalogue. A cause that changes the motion law is tested under its own law,
+with the position replies and the moves that follow them.
 
 What to use when: `scan_catalogue` in each iteration of a search; `ScoreTest.of` for any signals.
 """
@@ -21,13 +22,12 @@ from gyrorig_solver.estimate import LawStatistics, NuisanceProjector, ScoreStati
 from gyrorig_solver.model import SignalState, Term, components_of, value_indices, value_parameters
 from gyrorig_solver.numerics import chi2_upper_tail, detection_noncentrality
 
-NEGLIGIBLE_ENERGY = 1e-9  # of its energy: a signal with less left is the fit's own
-MAX_JOINT_SIGNALS = (
-    48  # signals of one cause that are looked at together, and whose likeness counts
-)
-SIGNALS_PER_BATCH = 24  # signals that are whitened together: more are no faster
-MAX_SIGNAL_VALUES = 4_000_000  # of signals that are looked at together: memory counts
-MAX_SEPARATE_PLACES = 3  # sizes with more parts are looked at together only
+NEGLIGIBLE_ENERGY = 1e-9  # share of a signal's energy; the fit absorbs a signal with less left
+# Signals of one cause that are tested together, so that their correlation counts.
+MAX_JOINT_SIGNALS = 48
+SIGNALS_PER_BATCH = 24  # signals that are whitened together; more are not faster
+MAX_SIGNAL_VALUES = 4_000_000  # of signals that are whitened together, to limit the memory
+MAX_SEPARATE_PLACES = 3  # causes with more parts are tested only with all parts together
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -36,11 +36,11 @@ class ScoreTest:
 
     statistic: float
     degrees_of_freedom: int
-    one_step_sizes: FloatArray  # (d,), their best sizes to first order
+    one_step_sizes: FloatArray  # (d,), the best sizes of the signals to first order
 
     @classmethod
     def of(cls, statistics: ScoreStatistics) -> "ScoreTest":
-        """Judge signals by their information and score, vanished ones left out."""
+        """Return the test of signals, without those that the fit absorbs."""
         if statistics.score.size == 1:
             return cls._of_single_signal(statistics)
         energy = np.diag(statistics.information)
@@ -69,28 +69,28 @@ class ScoreTest:
 class DetectableSize:
     """The detectable size of one template, in typical sizes."""
 
-    template_size: float  # of the row; 0 where the effect is taken as linear
-    detectable: float  # in the direction that shows least, inf where nothing shows
-    parameter_shift: FloatArray  # (board,), what that makes of the fit's parameters, unseen
+    template_size: float  # of the template; 0 if the effect is taken as linear
+    detectable: float  # in the direction with the least information; inf without information
+    parameter_shift: FloatArray  # (board,), bias of the fit's parameters by this size
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CandidateScore:
-    """The score of a cause at one of its places, or all, with its best template."""
+    """The score of a cause at one place or at all places, with its best template."""
 
     term: Term
     place: str | None
     template: FloatArray  # (k,)
     score_test: ScoreTest
-    effective_trials: float  # effective number of independent rows
-    p_value: float  # rows and tests counted
-    detectable_sizes: tuple[DetectableSize, ...]  # of every row
+    effective_trials: float  # effective number of independent templates
+    p_value: float  # with all templates and tests counted
+    detectable_sizes: tuple[DetectableSize, ...]  # of every template
 
     @property
     def detectable_size(self) -> DetectableSize:
-        """The detectable size where a template is just detected; the median of linear ones.
+        """The size of the smallest detected template; for linear effects, the median size.
 
-        Where even the largest row would not be seen, `detectable` is infinite.
+        If even the largest template is not detected, `detectable` is infinite.
         """
         if self.detectable_sizes[0].template_size > 0.0:
             sizes = sorted(self.detectable_sizes, key=lambda size: size.template_size)
@@ -99,7 +99,7 @@ class CandidateScore:
                 return replace(detected[0], detectable=detected[0].template_size)
             return replace(sizes[-1], detectable=np.inf)
         sizes = sorted(self.detectable_sizes, key=lambda size: size.detectable)
-        # A lost step has no effect while the axis is at rest: such rows contain no information.
+        # A lost step has no effect while its axis is at rest: such templates have no information.
         sizes = [size for size in sizes if np.isfinite(size.detectable)] or sizes
         return sizes[(len(sizes) - 1) // 2]
 
@@ -114,9 +114,9 @@ def scan_catalogue(
 
     Args:
         projection: the nuisance projector at the fit.
-        terms: the causes to look at.
-        tests: how many of them share the false alarms.
-        templates: rows of the bank to look at instead, for a single cause.
+        terms: the causes to test.
+        tests: how many share the false alarms.
+        templates: for a single cause, the rows of its bank that are tested instead.
     """
     scores: list[CandidateScore] = []
     for term in terms:
@@ -134,7 +134,7 @@ def scan_catalogue(
 
 
 def testable_places(term: Term) -> list[tuple[str | None, list[int]]]:
-    """Return the places of a cause, None for all of them, and the sizes at each."""
+    """Return each place of a cause with its sizes; the place None is all places together."""
     sizes = value_indices(term, role="size")
     testable: list[tuple[str | None, list[int]]] = [(None, list(range(len(sizes))))]
     parts = components_of(term)
@@ -147,19 +147,19 @@ def testable_places(term: Term) -> list[tuple[str | None, list[int]]]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _TestPlace:
-    """One place of a cause, and the non-centrality that detects it there."""
+    """One place of a cause, and the non-centrality that the test needs to detect it there."""
 
     place: str | None
-    positions: IntArray  # which sizes of the cause
-    size_indices: IntArray  # the same among all its values
+    positions: IntArray  # of its sizes among the sizes of the cause
+    size_indices: IntArray  # of its sizes among all values of the cause
     typical: FloatArray
-    noncentrality: float  # non-centrality
+    noncentrality: float
 
     @classmethod
     def of(
         cls, term: Term, place: str | None, positions: Sequence[int], tests: int
     ) -> "_TestPlace":
-        """Return a place with the sizes that it has; `tests` share the false alarms."""
+        """Return a place; `positions`: its sizes; `tests`: how many share the false alarms."""
         parameters, all_sizes = value_parameters(term), value_indices(term, role="size")
         sizes = np.array([all_sizes[k] for k in positions], dtype=np.int64)
         typical = np.array([parameters[k].typical_size for k in sizes])
@@ -167,7 +167,7 @@ class _TestPlace:
         return cls(place, np.array(positions, dtype=np.int64), sizes, typical, required)
 
     def detectable_size(self, template: FloatArray, statistics: ScoreStatistics) -> DetectableSize:
-        """The detectable size where a template is just detected; the median of linear ones."""
+        """Return the detectable size of a template at this place."""
         typical = self.typical
         size = float(np.max(np.abs(template[self.size_indices]) / typical))
         if typical.size == 1:
@@ -230,8 +230,8 @@ def _scan_term(
 def _score_law_term(term: Term, law: LawStatistics, tests: int) -> list[CandidateScore]:
     """Return the scores of a cause that changes the motion law, at each of its places.
 
-    Far from the law of the fit, the effect on the samples has another form than near to it, so
-    that samples and replies together can say less than the replies alone.
+    If the law is far from that of the fit, the effect on the samples has another form than near it.
+    The test of samples and replies together can then have less power than that of the replies.
 
     Args:
         term: the cause.
@@ -255,14 +255,16 @@ def _score_law_term(term: Term, law: LawStatistics, tests: int) -> list[Candidat
             first_order = detectable.detectable * test_place.typical
             sizes = part.scale.changes(first_order) / test_place.typical
             detectable = replace(detectable, detectable=float(sizes.max()))
-        # The better of two tests.
+        # Two tests were made, so the smaller p-value is doubled.
         p_value = min(1.0, 2.0 * p_value * tests)
         scores.append(CandidateScore(term, place, template, test, 2.0, p_value, (detectable,)))
     return scores
 
 
 def _test_within_range(statistics: ScoreStatistics, lower: FloatArray) -> tuple[float, ScoreTest]:
-    """Return the local p-value of a test, and the test; a size below its range explains nothing.
+    """Return the local p-value of a test, and the test.
+
+    If a size is below its lower bound of zero, the p-value is 1 and the statistic 0.
 
     Args:
         statistics: of the sizes, (d,).
@@ -279,7 +281,7 @@ def score_batches(
 ) -> Iterator[tuple[list[FloatArray], ScoreStatistics]]:
     """Yield templates with their score statistics, several at a time for speed.
 
-    `at_once`: all rows at once.
+    `at_once`: all templates in one batch.
     """
     sizes = len(value_indices(term, role="size"))
     together = min(SIGNALS_PER_BATCH, MAX_SIGNAL_VALUES // projection.residual.size) // sizes
@@ -302,8 +304,8 @@ def _count_effective_trials(information: FloatArray, sizes: int) -> float:
     """Return the effective number of independent templates (Galwey), the largest over the sizes.
 
     Args:
-        information: of all signals, those of one row after the other.
-        sizes: signals of a row.
+        information: of the signals of all templates, in the order of the templates.
+        sizes: number of signals of a template.
     """
     trials = []
     for k in range(sizes):

@@ -1,4 +1,4 @@
-"""Memory of a search for causes: the models that it visited, and the fits that were in vain.
+"""Memory of a search for causes: the models that it visited, and the fits that failed.
 
 What to use when: one `SearchMemory` per search.
 """
@@ -13,15 +13,15 @@ from gyrorig_solver.model import term_label
 class SearchMemory(Generic[Space]):
     """The visited models, and the candidates whose full fit did not converge or gained nothing.
 
-    Beside another cause, such a fit may converge or gain. But it takes long, and after some
-    failures it mostly fails again. So a candidate waits until the search has visited 0, 1, 3, 7
-    more models, or until no other cause can be added.
+    In a model with other causes, such a fit can converge or gain. But it takes long, and after
+    several failures it usually fails again. Therefore a candidate waits until the search has
+    visited 0, 1, 3, 7 more models, or until no other cause can be added.
     """
 
     def __init__(self, base: Space) -> None:
         """Start with the fit of the base model."""
         self.visited: list[Space] = [base]
-        self._failed: set[str] = set()  # labels, in the present model
+        self._failed: set[str] = set()  # labels of failures in the present model
         self._waiting: dict[str, int] = {}  # models until the fit is repeated, by label
         self._failures: Counter[str] = Counter()
         self._reasons: dict[str, str] = {}
@@ -32,7 +32,7 @@ class SearchMemory(Generic[Space]):
         return self._failed | self._waiting.keys()
 
     def visit(self, space: Space) -> None:
-        """Remember a model, which is the present one from now on."""
+        """Store a model as the present one."""
         self.visited.append(space)
         waiting = {label: count - 1 for label, count in self._waiting.items()}
         waiting |= {label: 2 ** (self._failures[label] - 1) - 1 for label in self._failed}
@@ -45,18 +45,18 @@ class SearchMemory(Generic[Space]):
         self._reasons[label] = space.convergence.reason
 
     def postpone(self, label: str) -> None:
-        """Leave a candidate out of the present model, because its fit was in vain."""
+        """Leave a candidate out of the present model, because its fit failed or gained nothing."""
         self._failed.add(label)
         self._failures[label] += 1
 
     def retry_waiting(self) -> bool:
-        """Let all candidates be fitted that wait; return whether there are any."""
+        """Allow fits of all waiting candidates; return whether there are any."""
         has_waiting = bool(self._waiting)
         self._waiting.clear()
         return has_waiting
 
     def remarks(self, final: FitSpace) -> tuple[str, ...]:
-        """Return one remark for each candidate that is not in the final model."""
+        """Return a remark for each candidate without convergence that is not in the final model."""
         fitted = {term_label(fitted_term.term) for fitted_term in final.fitted_terms}
         return tuple(
             f"the cause {label} was left out: {reason}"

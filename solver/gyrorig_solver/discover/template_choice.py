@@ -1,7 +1,8 @@
 """Choice of the templates of a cause that are scanned in a residual.
 
-What to use when: `quick_templates` for a pass over the catalogue, `all_templates` for one cause.
-Lost steps are short and spectral lines narrow: their templates are taken at peaks of the residual.
+What to use when: `quick_templates` for a scan of the catalogue, `all_templates` for one cause. For
+lost steps, which are short, and for spectral lines, which are narrow, both return only the
+templates at peaks of the residual.
 """
 
 import numpy as np
@@ -11,28 +12,29 @@ from gyrorig_solver.discover.lag_series import lag_templates
 from gyrorig_solver.estimate import NuisanceProjector
 from gyrorig_solver.model import Term, is_active_in, start_values, value_indices
 
-MIN_PERIODS = 3.0  # of a line in a recording: fewer look like a drift
-QUICK_TEMPLATES = 20  # rows to a cause in the pass over all
-MAX_PEAKS = 12  # of the moments or lines that a residual shows
-MIN_SEPARATION_S = 0.1  # two moments less apart are one
-PULSES_PER_TRIAL = 4  # pulses looked at for one that is independent: two a block, two blocks wide
-SPECTRUM_OVERSAMPLING = 4  # the line's power is read this much finer than a periodogram has it
+MIN_PERIODS = 3.0  # of a spectral line in a recording; fewer periods look like a drift
+QUICK_TEMPLATES = 20  # templates of a cause in the scan of the catalogue
+MAX_PEAKS = 12  # pulses or lines that are taken from a residual
+MIN_SEPARATION_S = 0.1  # between two pulses; closer pulses count as one
+# Scanned pulses per independent test: there are two pulses per block, each two blocks wide.
+PULSES_PER_TRIAL = 4
+SPECTRUM_OVERSAMPLING = 4  # points of the spectrum per bin of a periodogram
 
 
 def folded_periods(frequency_hz: FloatArray, rate_hz: float, length_s: float) -> FloatArray:
-    """Return how many periods of spectral lines a recording contains after aliasing.
+    """Return the number of periods of spectral lines in a recording, after aliasing.
 
     Args:
         frequency_hz: true frequencies.
-        rate_hz: of the sampling.
-        length_s: of the recording.
+        rate_hz: sampling rate.
+        length_s: duration of the recording.
     """
     folded = np.abs((frequency_hz + rate_hz / 2.0) % rate_hz - rate_hz / 2.0)
     return np.asarray(folded * length_s, dtype=np.float64)
 
 
 def quick_templates(projection: NuisanceProjector, term: Term) -> tuple[FloatArray, int]:
-    """Return templates (b, k) for a pass over the catalogue, and how many were scanned."""
+    """Return templates (b, k) for a scan of the catalogue, and the number of scanned templates."""
     if term.template_search == "pulses":
         return _lost_step_templates(projection, term)
     if term.template_search == "spectral_lines":
@@ -41,9 +43,8 @@ def quick_templates(projection: NuisanceProjector, term: Term) -> tuple[FloatArr
         templates = lag_templates(projection, term)
         return templates, len(templates)
     templates = all_templates(projection, term)
-    if (
-        term.template_search == "full_grid"
-    ):  # as narrow as its damping: a mode that is left out is not seen
+    # A mode is as narrow as its damping, so that no other template shows it.
+    if term.template_search == "full_grid":
         return templates, len(templates)
     sizes = np.abs(templates[:, value_indices(term, role="size")]).max(axis=1)
     if (sizes == 0.0).any():
@@ -55,7 +56,7 @@ def quick_templates(projection: NuisanceProjector, term: Term) -> tuple[FloatArr
 
 
 def all_templates(projection: NuisanceProjector, term: Term) -> FloatArray:
-    """Return all templates, (b, k); for lost steps and lines those at peaks of the residual."""
+    """Return all templates, (b, k); for pulses, lines and lags, those that fit the residual."""
     if term.template_search == "pulses":
         return _lost_step_templates(projection, term)[0]
     if term.template_search == "spectral_lines":

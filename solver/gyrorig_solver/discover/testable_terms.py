@@ -11,9 +11,9 @@ from gyrorig_solver.estimate import NuisanceProjector
 from gyrorig_solver.model import Term, limit_to_recording
 from gyrorig_solver.model.catalogue import catalogue
 
-# Share of recordings without any cause that may get a name. The tests overlap: 157 such
-# recordings had three quarters of the false names that their sum allows. A little is left to
-# the nameless groups, which have to see only what is large and no cause of the catalogue.
+# Share of recordings without any cause in which the search may name a cause. The tests overlap: 157
+# such recordings had three quarters of the false names that the sum of the tests allows. The rest
+# of 1 % is for the dependence tests, which need to detect only large effects without a known cause.
 FALSE_ALARM_RATE = 0.0075
 
 
@@ -47,7 +47,7 @@ def testable_instances(term: Term, projection: NuisanceProjector) -> list[Term]:
 
 
 def acting_instances(term: Term, projection: NuisanceProjector) -> list[Term]:
-    """Return a cause that can act, tested or not, once per recording if that is its scope."""
+    """Return a cause that can act, testable or not, once per recording if that is its scope."""
     recording_numbers = sorted({scene.context.recording_index for scene in projection.states})
     per_recording = term.scope == "recording" and len(recording_numbers) > 1
     instances = (

@@ -1,8 +1,8 @@
 """The fit of a board to reference attitudes, as a space for the search.
 
-Here the reference is the noisy side, and nobody knows its noise. Two rules follow. Scores are
-judged by how much they vary from one stretch of time to the next. A cause gets no name if it does
-not improve the prediction of held-out windows.
+The reference is noisier than the gyroscope, and its noise is unknown. Two rules follow. The scores
+are scaled by their variation between chunks of time. A cause is not named if it does not improve
+the prediction of held-out windows.
 """
 
 from collections.abc import Sequence
@@ -54,11 +54,11 @@ from gyrorig_solver.model import (
 )
 from gyrorig_solver.reference import AttitudeReference
 
-COARSE_DETAIL = 6.0  # half waves: most causes are as smooth
+COARSE_DETAIL = 6.0  # half waves of the signals that scale the scores; most causes are as smooth
 MAX_LINEARISATIONS = 8
-CONVERGED_SIGMA = 0.01  # of the largest change of a parameter
-SMALL_CHANGE_SIGMA = 0.5  # if the changes grow again after this, the smallest one counts
-MAX_CHANGE_SIGMA = 1.0  # of a fit that is stated
+CONVERGED_SIGMA = 0.01  # largest change of a parameter at convergence
+SMALL_CHANGE_SIGMA = 0.5  # if changes grow again after this one, the smallest change counts
+MAX_CHANGE_SIGMA = 1.0  # largest change of a fit that is stated
 REMEDY_WITHOUT_CONVERGENCE = (
     "leave out a cause, or run `gyrorig explain` to find the causes that the recording shows"
 )
@@ -76,9 +76,9 @@ class AttitudeRecording:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class AttitudeLinearisation:
-    """A fit of gain, biases and lags, and the projector there; causes are taken out of the rates.
+    """A fit of gain, biases and lags, and the projector there; the rates are without the causes.
 
-    Around it, everything is linear. Without causes it is the base model.
+    The model is linear about this fit. Without causes it is the base model.
     """
 
     recordings: tuple[AttitudeRecording, ...]
@@ -87,7 +87,7 @@ class AttitudeLinearisation:
     fit: GyroFit  # without the uncertainty of the causes
     calibration: CalibrationValues
     covariance: FloatArray  # (13, 13), of G and the last recording's bias and lag, without causes
-    step: FloatArray  # of the projector's optimum from the fit, with its causes
+    step: FloatArray  # from the fit to the optimum of the projector with the causes
 
     @classmethod
     def of(
@@ -99,8 +99,8 @@ class AttitudeLinearisation:
         """Return the linearisation at a fit.
 
         Args:
-            recordings: of one board.
-            solved: the fit, from whose rates the effects of the causes are taken out.
+            recordings: recordings of one board.
+            solved: the fit to rates without the effects of the causes.
             fitted_terms: these causes.
         """
         pairs = [(recording.samples, recording.reference) for recording in recordings]
@@ -142,9 +142,9 @@ class AttitudeLinearisation:
 class AttitudeFitSpace(FitSpace):
     """A fit to reference attitudes and the causes in it.
 
-    It is linear in gain, biases and lags about a fit, so that no cause hides rates from the gain.
-    `relinearised` repeats that fit without the effects of the causes. The noise is the
-    reference's: no cause of the board hides in it.
+    The model is linear in gain, biases and lags about a fit, so that no cause hides rates from the
+    gain. `relinearised` repeats that fit without the effects of the causes. The noise is that of
+    the reference, so that it does not hide a cause of the board.
     """
 
     needs_held_out_gain = True
@@ -158,7 +158,7 @@ class AttitudeFitSpace(FitSpace):
         """Use `fit_attitude_space`, and `refit` for causes.
 
         Args:
-            at: where the fit is linear.
+            at: the linearisation.
             effects: the fitted causes.
             effort: of the search that made the fit.
         """
@@ -175,12 +175,12 @@ class AttitudeFitSpace(FitSpace):
         self.observability = self._projector.analyse_observability()
 
     def projector(self, typical: bool = False) -> AttitudeProjector:
-        """Return the nuisance projector; there is one noise only."""
+        """Return the nuisance projector; typical noise levels do not exist here."""
         del typical
         return self._projector
 
     def projector_without(self, *dropped: int) -> NuisanceProjector:
-        """Return the projector with some causes taken out, their effects added back."""
+        """Return the projector without some causes, with their effects added to the residual."""
         others = [term for j, term in enumerate(self.fitted_terms) if j not in dropped]
         return self.base.with_terms(others)
 
@@ -196,10 +196,10 @@ class AttitudeFitSpace(FitSpace):
     def relinearised(self) -> Self:
         """Return the fit about the point where gain, biases, lags and causes agree.
 
-        The fit of gain, biases and lags is repeated without the effects of the causes, and the
-        causes are fitted again there, until nothing changes. The noise is that of the residual
-        without the causes. A large cause can lead the steps away again, after they were near the
-        point: then the fit with the smallest change is returned.
+        This function repeats the fit of gain, biases and lags without the effects of the causes,
+        and fits the causes again there, until nothing changes. The noise is that of the residual
+        without the causes. With a large cause, the steps can come near the point and then diverge.
+        In this case, the fit with the smallest change is returned.
         """
         space, best, smallest, moving = self, self, np.inf, ""
         for _ in range(MAX_LINEARISATIONS):
@@ -216,7 +216,7 @@ class AttitudeFitSpace(FitSpace):
         return best
 
     def _linearised_again(self) -> Self:
-        """Return the fit about that of gain, biases and lags without the effects of the causes."""
+        """Repeat the fit of gain, biases and lags without the causes' effects; refit the causes."""
         effects = {
             segment.solver_segment: segment.effect_at_steps(
                 total_effect(self.fitted_terms, segment.state), track.begin_s, track.end_s
@@ -245,20 +245,20 @@ class AttitudeFitSpace(FitSpace):
         return float(np.max(sigma)), names[int(np.argmax(sigma))]
 
     def negative_log_likelihood(self, noise_of: Self) -> float:
-        """Return that of the fit, relative to the base model; there is one noise only."""
+        """Return the negative log-likelihood of the fit, relative to the base model."""
         del noise_of
         return self._cost
 
     def log_likelihoods(self, models: Sequence[Self]) -> list[float]:
-        """Return that of each model, relative to the base model."""
+        """Return the log-likelihood of each model, relative to the base model."""
         return [-model.negative_log_likelihood(self) for model in models]
 
     def reduced_chi2(self) -> float:
-        """Return that of the base model: the noise is estimated from its residual."""
+        """Return the reduced chi-square of the base model, whose residual gives the noise."""
         return self.fit.reduced_chi2
 
     def calibration(self) -> CalibrationValues:
-        """Return the calibration parameters of the fit, linear about another one.
+        """Return the calibration parameters of the fit, by a step from the linearisation.
 
         The uncertainty includes that of the causes.
         """
@@ -300,7 +300,11 @@ class AttitudeFitSpace(FitSpace):
         return build_gyro_fit(outcome, [samples for samples, _ in pairs])
 
     def _observability_of_calibration(self) -> ObservabilityAnalysis:
-        """Return that of the fit, with the noise of the fit without causes where that is larger."""
+        """Return the observability of the fit, widened if the fit without causes has more noise.
+
+        The fit without causes can state a larger variance than the projector. The ratio of the two
+        widens the variance with causes.
+        """
         size = len(CALIBRATION_PARAMETERS)
         without = self.base.analyse_observability()
         projected = np.diag(without.covariance)[:size]
@@ -311,7 +315,7 @@ class AttitudeFitSpace(FitSpace):
         return self.observability.widened(np.sqrt(ratio))
 
     def _std_ratio(self) -> FloatArray:
-        """Return the factor of each parameter's uncertainty by the causes in the fit, (13,)."""
+        """Return the factor by which the causes increase each uncertainty, at least 1, (13,)."""
         without = self.base.analyse_observability()
         jacobian, size = self.at.calibration.jacobian, len(CALIBRATION_PARAMETERS)
 
@@ -329,7 +333,7 @@ class AttitudeFitSpace(FitSpace):
         return np.asarray(after - before, dtype=np.float64)
 
     def dependence_tests(self, projector: NuisanceProjector) -> list[DependenceTest]:
-        """Test the residual for smooth functions; its scatter is the reference's own."""
+        """Test the residual for smooth functions; its variance is that of the reference."""
         families = [*smooth_families(projector.states), *attitude_families()]
         return dependences_on(projector, families, len(families))
 
@@ -337,11 +341,11 @@ class AttitudeFitSpace(FitSpace):
 def fit_attitude_space(
     recordings: Sequence[AttitudeRecording], keep_sawtooth: bool = False
 ) -> AttitudeFitSpace:
-    """Fit the base model; its scores are scaled to their scatter.
+    """Fit the base model, with scores scaled by their variation.
 
     Args:
-        recordings: of one board; bias and lag are free in each of them.
-        keep_sawtooth: leave the saw-tooth of a clock in the times, so that the cause shows.
+        recordings: recordings of one board; each has its own bias and lag.
+        keep_sawtooth: keep the saw-tooth of a clock in the times, so that the search can find it.
 
     Raises:
         InputError: gyro and reference hardly overlap.

@@ -1,17 +1,18 @@
 """What is tested with reference attitudes only: causes of the reference, and smooth functions.
 
-An attitude that a camera gives is often a mean over time: frames last, markers are filtered,
-attitudes are interpolated to the gyro's rate. A mean over a time of variance v makes of a body
-rate w, to second order, w + v/2 (w'' + w x w'): R(t + s) averaged over s and made a rotation
-again is R (1 + v/2 [w']x), and a rotation that is off by d = v/2 w' turns by w + d' + w x d
-(derived here; the first is a low-pass, the second is what no low-pass of each axis can be).
+An attitude from a camera is often a mean over time: frames have an exposure time, markers are
+filtered, and attitudes are interpolated to the rate of the gyro. If the averaging time has the
+variance v, the body rate w becomes w + v/2 (w'' + w x w') to second order. Derivation: the mean of
+R(t + s) over s, made a rotation again, is R (1 + v/2 [w']x). A rotation with the error d = v/2 w'
+has the rate w + d' + w x d. The term w'' is a low-pass. No low-pass of the single axes has the
+effect of w x w'.
 
 What to use when: `attitude_terms` for all causes, `attitude_families` for smooth functions in
 addition to `smooth_families`.
 
-Source of the turning axis: the mean rate that a rotation vector gives over a step lacks
-w x dw/dt dt^2/12 of the mean of the rate (Bortz 1971, "A new mathematical formulation for
-strapdown inertial navigation", IEEE Trans. AES-7, eq. 38 to second order).
+Source of the turning axis: the mean rate from the rotation vector of a step lacks the term
+w x dw/dt dt^2/12 of the mean of the rate (Bortz 1971, "A new mathematical formulation for strapdown
+inertial navigation", IEEE Trans. AES-7, eq. 38 to second order).
 """
 
 from collections.abc import Callable
@@ -50,7 +51,7 @@ class ReferenceSmoothing(LinearTerm):
         TermParameter(
             name="variance",
             unit="s^2",
-            typical_size=2.5e-5,  # of 5 ms, half a frame of an ordinary camera
+            typical_size=2.5e-5,  # square of 5 ms, half a frame of an ordinary camera
             lower=0.0,
             upper=2.5e-3,
             prior_std=1e-3,
@@ -74,7 +75,7 @@ class ReferenceSmoothing(LinearTerm):
         del values
         rate, block_s = state.rate_rad_s, state.step_s * state.instants_per_block
         across = np.cross(rate, np.gradient(rate, state.step_s, axis=0))
-        # Of block means: their differences hold less of what is faster than the band.
+        # Use block means, because their differences contain less of the rates above the band.
         slow = state.sample_output(rate)
         bend = np.gradient(np.gradient(slow, axis=0), axis=0) / block_s**2
         signal = -0.5 * (bend + state.sample_output(across)) @ state.gain.T
@@ -93,9 +94,9 @@ class ReferenceSmoothing(LinearTerm):
 
 
 class MovingBias(LinearTerm):
-    """A bias of the moving board minus that at rest, per axis: tested like a cause, never named.
+    """The bias of the moving board minus that at rest, per axis; tested like a cause, never named.
 
-    It is compared like a cause, so that no cause is named in its place.
+    The search compares it like a cause, so that no cause is named in its place.
     """
 
     cause = "moving_bias"
@@ -114,7 +115,7 @@ class MovingBias(LinearTerm):
     effect_if_ignored = "the bias in motion differs from the bias at rest"
 
     def basis_signals(self, state: SignalState, values: FloatArray) -> FloatArray:
-        """Return where the board moves on each axis, (3, blocks, 3)."""
+        """Return the share of each block in which the board moves, on each axis, (3, blocks, 3)."""
         del values
         is_moving = np.linalg.norm(state.rate_rad_s, axis=1) > MIN_BOARD_RATE_RAD_S
         return split_axes(
@@ -122,19 +123,19 @@ class MovingBias(LinearTerm):
         )
 
     def describe(self, values: FloatArray) -> str:
-        """Describe the shifts."""
+        """Describe the change of the bias."""
         shifts = format_list(values / DEG, XYZ, "deg/s")
         return f"the bias in motion differs from the bias at rest: {shifts}"
 
 
 def attitude_terms() -> dict[str, Term]:
-    """Return all causes by id: the catalogue, some in another form, and those of the reference."""
+    """Return all causes by id: the catalogue in its form for attitudes, and two more causes."""
     forms = {cause: term.attitude_form or term for cause, term in catalogue().items()}
     return forms | {term.cause: term for term in (ReferenceSmoothing(), MovingBias())}
 
 
 def attitude_families() -> list[BasisFamily]:
-    """Return the families in addition to those of any reference."""
+    """Return the families in addition to those of all references."""
     return [
         _family("moving_bias", MovingBias.nameless_description, _moving_bias, 3),
         _family(
@@ -156,9 +157,10 @@ def _moving_bias(state: SignalState) -> FloatArray:
 
 
 def _derivatives(state: SignalState) -> FloatArray:
-    """Return each axis' second and third derivative: gain and delay by the frequency squared.
+    """Return the second and third derivative of each axis' rate, from block means.
 
-    Of block means, whose differences hold less of what is faster than the band.
+    They are a gain and a delay that change with the square of the frequency. Differences of block
+    means contain less of the rates above the band.
     """
     step_s = state.step_s * state.instants_per_block
     second = np.gradient(np.gradient(state.sample_output(state.sensor_rate_rad_s), axis=0), axis=0)

@@ -33,7 +33,7 @@ class CauseEffects(CandidateObjective):
         fitted_terms: Sequence[FittedTerm],
         max_iterations: int,
     ) -> None:
-        """Fit the causes; `projector`: at the base fit, without any cause."""
+        """Fit the causes; `projector`: at the base fit, without causes."""
         self.projector, self.fitted_terms = projector, tuple(fitted_terms)
         self.convergence, self.cost = CONVERGED, 0.0  # nats, relative to the fit without causes
         self.max_iterations, self.events = max_iterations, []
@@ -60,8 +60,8 @@ class CauseEffects(CandidateObjective):
             )
 
     def derivatives(self, values: FloatArray, free: IntArray) -> WhitenedSignals:
-        """Return the derivatives by the free values and, last, the whole effect, whitened."""
-        del free  # always those of the causes
+        """Return the whitened derivatives by the free values; the last signal is the effect."""
+        del free  # always the free values of the causes
         terms = self._terms_at(values)
 
         def signals(state: SignalState) -> FloatArray:

@@ -23,7 +23,7 @@ MAX_SEARCHES = 3  # after the first one
 
 
 class NamelessCheck:
-    """States an effect that is compared like a cause, and has no name, as unexplained."""
+    """Reports an effect that is compared like a cause, but has no name, as unexplained."""
 
     removes_names = False
 
@@ -64,10 +64,10 @@ class AttitudeExplanation:
 def explain_attitudes(
     recordings: Sequence[AttitudeRecording], held_out: AttitudeRecording | None = None
 ) -> AttitudeExplanation:
-    """Find what gain, bias and lag leave of one board's rates, compared with attitudes.
+    """Find the causes of the residual that gain, bias and lag leave in the rates of one board.
 
     Args:
-        recordings: of one board; bias and lag are free in each of them.
+        recordings: recordings of one board; each has its own bias and lag.
         held_out: another recording, on which the named causes are tested.
 
     Raises:
@@ -78,7 +78,7 @@ def explain_attitudes(
     if any(resolved.has_sawtooth for resolved in model.space.at.solved.resolved) and not any(
         fitted_term.term.template_search == "lag_series" for fitted_term in model.space.fitted_terms
     ):
-        # The search found nothing for it, so the correction of the times is the better model.
+        # The search did not find the saw-tooth, so the correction of the times is the better model.
         model = _judged_search(fit_attitude_space(recordings))
     findings = assemble_findings(model, start_s)
     if held_out is not None:
@@ -102,10 +102,10 @@ def _judged_search(base: AttitudeFitSpace) -> JudgedModel[AttitudeFitSpace]:
 
 
 def search_attitudes(base: AttitudeFitSpace) -> SearchResult[AttitudeFitSpace]:
-    """Search for causes, and repeat the search where the fit contains what was found.
+    """Search for causes, and repeat the search from a fit that contains the causes found.
 
-    A large cause increases the residual, from which the noise is estimated, and it moves the gain,
-    about which the search is linear. Both are right only after the fit contains the cause.
+    A large cause increases the residual, from which the noise is estimated. It also changes the
+    gain, about which the model is linear. Both are right only after the fit contains the cause.
     """
     result = search_causes(base)
     for _ in range(MAX_SEARCHES):
@@ -148,10 +148,10 @@ def extend_attitudes(
 def gain_on_other_recording(
     space: AttitudeFitSpace, recording: AttitudeRecording
 ) -> HeldOutGain | None:
-    """Return the gain of the named causes on another recording; gain and causes are held.
+    """Return the gain of the named causes on another recording; None if no cause applies to it.
 
-    Only bias and lag are the other recording's own, in both models. What is a recording's
-    own (a step, a slip) is left out there. None where nothing is left.
+    Gain and causes are held. In both models, only bias and lag are fitted to the other recording.
+    Causes of a single recording, such as a step or a slip, are left out.
 
     Raises:
         InputError: gyro and reference hardly overlap.

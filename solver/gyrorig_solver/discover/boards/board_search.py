@@ -60,7 +60,7 @@ class BoardSearch:
             self.ranked_causes, self.space = ranked_causes, refitted
 
     def take_law(self, space: MotionFitSpace, term: Term) -> None:
-        """Continue with a fit that has a cause of the motion law at its common value."""
+        """Continue with a fit in which a cause of the motion law has its common value."""
         ranked_by_label = {term_label(c.term): ranked for c, ranked in self.fitted_causes()}
         self.space = space
         fitted = [

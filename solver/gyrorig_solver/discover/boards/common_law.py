@@ -1,8 +1,8 @@
 """One motion law of all boards on a unit, from their joint fit.
 
-A cause that changes the motion law shows in the samples of every board and in the position replies,
-which all boards share. The joint fit counts the replies once. Each board then has the law with a
-prior from the joint fit, so that a fit of this board alone ends at the common law.
+A cause that changes the motion law affects the samples of every board and the position replies,
+which all boards share. The joint fit counts the replies once. Each board then gets a prior of the
+law from the joint fit, so that a fit of this board alone ends at the common law.
 """
 
 from collections.abc import Mapping
@@ -23,7 +23,7 @@ class CommonLaw:
     """A cause of the unit's motion law at its common value."""
 
     spaces: Mapping[str, MotionFitSpace]  # the fit of each board, with the common value
-    disagreement_p: float  # boards differ as much by chance
+    disagreement_p: float  # p-value of the boards having one value
 
 
 def fit_common_law(spaces: Mapping[str, MotionFitSpace], cause: FittedTerm) -> CommonLaw | None:
@@ -31,7 +31,7 @@ def fit_common_law(spaces: Mapping[str, MotionFitSpace], cause: FittedTerm) -> C
 
     Args:
         spaces: the fit of each board, with or without the cause.
-        cause: as one of the boards has it.
+        cause: the cause as fitted to one of the boards.
     """
     extended = {name: _with_cause(space, cause) for name, space in spaces.items()}
     label = term_label(cause.term)
@@ -52,7 +52,7 @@ def fit_common_law(spaces: Mapping[str, MotionFitSpace], cause: FittedTerm) -> C
 
 
 def _with_cause(space: MotionFitSpace, cause: FittedTerm) -> MotionFitSpace:
-    """Return the fit with the cause at the same places as the other boards have it."""
+    """Return the fit with the cause at the same places as in the fits of the other boards."""
     label = term_label(cause.term)
     others = [term for term in space.fitted_terms if term_label(term.term) != label]
     if len(others) < len(space.fitted_terms):
@@ -82,7 +82,7 @@ def _prior_from_joint(
 def _values_and_information(
     space: MotionFitSpace, term_index: int
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the fitted values of a cause, and their information with all else marginalised."""
+    """Return the fitted values of a cause, and their information, other values marginalised."""
     fitted_term = space.fitted_terms[term_index]
     positions = value_positions(space, term_index)
     covariance = space.observability.covariance[np.ix_(positions, positions)]

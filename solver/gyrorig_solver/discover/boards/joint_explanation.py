@@ -3,9 +3,9 @@
 Each board is searched separately first. A cause that may belong to the unit, or may be confused
 with a cause of the unit, is then tested on all boards: one common size, or separate sizes
 (`scope_hypotheses`). A cause of the unit is fitted to every board with a prior from the other
-boards (`joint_projector.prior_from_others`), which equals the joint fit. Finally causes that no
-board shows alone are searched in all boards together. A cause of the motion law that a board shows
-is fitted to all boards and to the position replies, which they share (`common_law`).
+boards (`joint_projector.prior_from_others`), which equals the joint fit. Finally, all boards
+together are searched for causes that no single board shows. If a board shows a cause of the motion
+law, the cause is fitted to all boards and to the position replies, which they share (`common_law`).
 """
 
 import time
@@ -48,23 +48,21 @@ from gyrorig_solver.estimate import (
 )
 from gyrorig_solver.model import Term, term_label
 
-DETECTED_NATS = 4.0  # won on a board's own data: less may be chance (once in 200 for one size)
-MAX_EVIDENCE_LAG_NATS = (
-    30.0  # of evidence behind: no more than a look at all boards might make good
-)
-MAX_MOTION_UNKNOWNS = 4000  # of a motion: beyond, a dense matrix over them takes too much memory
+DETECTED_NATS = 4.0  # gain on a board's own data; chance exceeds it once in 200 for one size
+MAX_EVIDENCE_LAG_NATS = 30.0  # lag of a rival on one board that all boards together can make up
+MAX_MOTION_UNKNOWNS = 4000  # with more, a dense matrix of the unknowns takes too much memory
 MAX_JOINT_ONLY_CAUSES = 4  # causes that only all boards together show
 
-CauseByBoard = dict[int, tuple[FittedTerm, RankedCause]]  # by board: what is to be explained
+CauseByBoard = dict[int, tuple[FittedTerm, RankedCause]]  # causes that may be the same, by board
 
 
 def explain_jointly(bases: Mapping[str, ConvergedFit]) -> dict[str, FitExplanation]:
     """Search for causes in several boards on one unit together.
 
-    Where motions differ, or are of thousands of moves, each board is explained for itself.
+    If the motions differ, or consist of thousands of moves, each board is explained separately.
 
     Args:
-        bases: the fit of the base model to each board, of the same recordings.
+        bases: the fit of the base model to each board, for the same recordings.
     """
     start_s = time.monotonic()
     boards = []
@@ -120,7 +118,8 @@ def _resolve_law_causes(boards: Sequence[BoardSearch]) -> None:
 def _match_causes(boards: Sequence[BoardSearch]) -> list[CauseByBoard]:
     """Return causes of different boards that may be the same cause, the most significant first.
 
-    Of each board at most one cause takes part: the same, or one that was taken for it.
+    A match has at most one cause of each board: the same cause, or one with a common plausible
+    rival.
     """
     named_causes = [
         (board_number, extension, s)
@@ -173,7 +172,7 @@ def _candidate_terms(matched: CauseByBoard) -> dict[str, Term]:
 
 
 def _resolve_cause(boards: Sequence[BoardSearch], matched: CauseByBoard) -> None:
-    """Choose between candidates and between one common size and separate sizes; refit."""
+    """Choose a candidate, and one common size or separate sizes; refit the boards."""
     projectors = [
         board.projector_without(matched[k][0] if k in matched else None)
         for k, board in enumerate(boards)
@@ -197,7 +196,8 @@ def _resolve_cause(boards: Sequence[BoardSearch], matched: CauseByBoard) -> None
         return
     hypotheses.sort(key=lambda hypothesis: -hypothesis.log_evidence)
     if hypotheses[0].log_evidence <= 0.0:
-        # What a unit does all boards show: on one alone, and as little, it is chance.
+        # All boards show a cause of the unit. An effect on one board with so little evidence is
+        # chance.
         for k, (cause, _) in matched.items():
             boards[k].drop_cause(cause)
     elif _has_one_size(projectors, hypotheses[0].common):
@@ -277,7 +277,7 @@ def _rank_hypotheses(
         if hypothesis.name == first.name:
             continue
         fitted = hypothesis.common or next(w for w in hypothesis.per_board if w is not None)
-        # On the scale of the cause that is named: what all boards together lose by it.
+        # Gain and evidence of this board's cause, plus the difference over all boards.
         rival = replace(
             fitted,
             delta_log_likelihood=candidate.delta_log_likelihood
@@ -341,7 +341,7 @@ def _find_joint_only_causes(boards: Sequence[BoardSearch]) -> None:
 
 
 def _attribute_remaining(boards: Sequence[BoardSearch]) -> None:
-    """Attribute the remaining causes to their boards, and count the boards that have them."""
+    """Attribute the remaining causes to their boards, and count the boards with each cause."""
     names = [
         [term_label(extension.term) for extension, _ in board.fitted_causes()] for board in boards
     ]

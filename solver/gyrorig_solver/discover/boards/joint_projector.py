@@ -1,14 +1,14 @@
 """Nuisance projection for several boards on one unit, with the motion's unknowns in common.
 
-Each board has its own gain, bias, lag, causes and noise. Information and scores of a signal
-therefore add over the boards after each board's own parameters are eliminated. The motion's
-unknowns, and what the polls report about them, are common and count once; otherwise their errors
-would count N times. With N boards a column of one board overlaps with a common column by 1/N of
-its energy.
+Each board has its own gain, bias, lag, causes and noise. Therefore the information and the scores
+of a signal add over the boards after the parameters of each board are eliminated. The unknowns of
+the motion, and the polls that determine them, are common to all boards and count once. Otherwise
+their errors would count N times. With N boards, a column of one board overlaps with a common column
+by 1/N of its energy. The nuisances are eliminated block by block (Schur complements).
 
 What to use when: `JointProjector` in place of a `NuisanceProjector`, to fit one common size;
 `local_quadratic` for one board's likelihood about that size, `prior_from_others` for a board's
-prior from the others. The nuisances are eliminated block by block (Schur complements).
+prior from the others.
 """
 
 from collections.abc import Sequence
@@ -30,14 +30,15 @@ from gyrorig_solver.estimate.whitened_signals import join_channels
 from gyrorig_solver.model import SignalState, Term
 from gyrorig_solver.numerics import chi2_upper_tail, positive_part
 
-MIN_RELATIVE_INFORMATION = 1e-7  # of the values' own: a direction with less information is ignored
+# Relative to the information of the single values; directions with less information are ignored.
+MIN_RELATIVE_INFORMATION = 1e-7
 
 
 class JointProjector(NuisanceProjector):
     """The nuisance projectors of several boards, with the motion's unknowns in common."""
 
     def __init__(self, boards: Sequence[NuisanceProjector]) -> None:
-        """Put them side by side, in this order; they are of the same recordings."""
+        """Join the projectors of the boards, in this order; they are of the same recordings."""
         self.boards = tuple(boards)
         self.statistics_by_family = {}
         self._solution = None
@@ -56,7 +57,7 @@ class JointProjector(NuisanceProjector):
             for part, board_columns in zip(boards, shared, strict=True)
         ]
         self.residual = np.concatenate([part.residual for part in self._parts])
-        # What is known of the motion is one knowledge: that of the board that trusts it least.
+        # The prior of the motion counts once: that of the board with the least prior information.
         known = min((part.known for part in self._parts), key=lambda part: float(np.trace(part)))
         sizes = np.concatenate([np.zeros(0), *(shared[0][name][1] for name in common_names)])
         inner = block_diag(known, np.diag(sizes**-2.0)) if sizes.size else known.copy()
@@ -86,13 +87,13 @@ class JointProjector(NuisanceProjector):
     def term_derivatives(
         self, term: Term, values: FloatArray, free: IntArray | Sequence[int]
     ) -> WhitenedSignals:
-        """Return a cause's derivatives, and its effect last, of all boards, whitened."""
+        """Return a cause's derivatives on all boards, whitened; the last signal is its effect."""
         return join_channels([board.term_derivatives(term, values, free) for board in self.boards])
 
     def score_statistics(self, signals: WhitenedSignals) -> ScoreStatistics:
         """Return the score statistics of whitened signals over all boards.
 
-        `taken` has the boards' parameters one after the other.
+        `absorbed` contains the parameters of the boards one after the other.
         """
         white = signals.dense()
         felt, board_steps, common = self._solve_nuisances(white)
@@ -123,7 +124,12 @@ class JointProjector(NuisanceProjector):
     def _solve_nuisances(
         self, white: FloatArray
     ) -> tuple[list[tuple[FloatArray, FloatArray]], list[FloatArray], FloatArray]:
-        """Return products with both kinds of derivatives, and the unknowns' steps."""
+        """Return the products of signals with both kinds of derivatives, and the nuisances' steps.
+
+        Returns:
+            For each board, the products with the common and with its own derivatives; the steps of
+            the parameters of each board; the steps of the common unknowns.
+        """
         felt = [
             (part.common_products(board_signals.T), part.own_rows @ board_signals.T)
             for part, board_signals in zip(
@@ -142,13 +148,13 @@ class JointProjector(NuisanceProjector):
         return felt, board_steps, common
 
     def board_part(self, k: int, taken: FloatArray) -> FloatArray:
-        """Return one board's part of a change of all boards' parameters."""
+        """Return the part of one board in a change of the parameters of all boards."""
         first = sum(board.board_parameters for board in self.boards[:k])
         return taken[first : first + self.boards[k].board_parameters]
 
 
 class _BoardPart:
-    """One board's derivatives: by its separate unknowns, and by those common to all boards."""
+    """Derivatives of one board by its separate unknowns and by the common unknowns."""
 
     def __init__(self, board: NuisanceProjector, moved: IntArray) -> None:
         """Split a board; `moved`: the indices of its unknowns that are common to all boards."""
@@ -159,7 +165,7 @@ class _BoardPart:
         self._dense = np.vstack([apart.shared_derivatives, apart.board_derivatives[moved]])
         self.own_rows = apart.board_derivatives[stay]
         self.known = apart.motion_prior_information
-        # Use the motion of the polls, so that all boards share the same motion.
+        # Start from the motion of the polls, so that all boards have the same motion.
         away = np.concatenate([apart.motion_prior_offset, np.zeros(moved.size)])
         self.residual = board.residual - self.common_effect(away)
         inner = self.own_rows @ self.own_rows.T + apart.board_prior_information[np.ix_(stay, stay)]
@@ -212,11 +218,9 @@ def _shared_cause_columns(
 class LocalQuadratic:
     """One board's log-likelihood as a quadratic function of a cause's values."""
 
-    information: FloatArray  # (free, free), about them
-    slope: FloatArray  # (free,), towards what this board alone would like better
-    delta_log_likelihood: (
-        float  # nats that these values win of what the fit without the cause leaves
-    )
+    information: FloatArray  # (free, free), at the values
+    slope: FloatArray  # (free,), gradient of this board's log-likelihood at the values
+    delta_log_likelihood: float  # nats, at the values minus that of the fit without the cause
 
 
 def local_quadratic(projection: NuisanceProjector, candidate: FittedCandidate) -> LocalQuadratic:
@@ -259,11 +263,11 @@ def homogeneity_p_value(boards: Sequence[LocalQuadratic]) -> float:
     """Return the p-value of a score test that the boards have the same values.
 
     Args:
-        boards: each as heard at the common best.
+        boards: the likelihood of each board at the common optimum.
 
-    Source: score test of homogeneity; the sum of s' A^-1 s over boards, less that of
-    the boards' sums, is chi-squared with as many degrees of freedom as there are values that
-    several boards see, less one each.
+    Source: score test of homogeneity. The statistic is the sum of s' A^-1 s over the boards, minus
+    the same of the sums of s and A. It is chi-squared. Each value adds one degree of freedom less
+    than the number of boards that show it.
     """
     statistic, degrees = 0.0, 0
     for quadratic in boards:

@@ -1,10 +1,10 @@
 """The scope of a cause: one common size on all boards of a unit, or a size of each board.
 
-All boards show a cause of the unit at one size; a cause of a board need not be on any other. Where
-one board cannot decide (a controller that rounds its ramps, or a low-pass of the board), all
-boards are compared: the evidence of one common size against the sum of the evidence of separate
-sizes. A common size pays the Occam factor once, separate sizes once per board (Laplace's
-approximation, as in `exact_fit`).
+All boards show a cause of the unit with the same size, but a cause of a board can be on one board
+only. One board may not distinguish the two, for example a controller that rounds its ramps from a
+low-pass of the board. Then the evidence of one common size is compared with the sum of the evidence
+of separate sizes. A common size has one Occam factor, and separate sizes have one per board
+(Laplace's approximation, as in `exact_fit`).
 
 What to use when: `compare_scopes` for one candidate; `possible_owner` for its possible scopes.
 """
@@ -22,8 +22,8 @@ from gyrorig_solver.estimate import NuisanceProjector, is_unit_cause
 from gyrorig_solver.model import Term, term_label
 
 Owner = Literal["unit", "board", "either"]
-# What is a unit's by its kind acts on all boards. That it shows on one alone takes a mount of
-# its own that yields or rings as a unit would: believed once in ten thousand.
+# A cause of the unit acts on all boards. A single board can show such an effect only if its own
+# mount yields or rings like a unit. The assumed probability of that is one in 10,000.
 SINGLE_BOARD_PENALTY_NATS = 9.2
 
 
@@ -32,10 +32,10 @@ class ScopeHypothesis:
     """One cause with one common size, or with a separate size on each board."""
 
     term: Term
-    common: FittedCandidate | None  # fitted to all boards at once; None: each board's own
-    per_board: tuple[FittedCandidate | None, ...]  # of each board, None where it earns nothing
+    common: FittedCandidate | None  # fitted to all boards together; None: separate sizes
+    per_board: tuple[FittedCandidate | None, ...]  # of each board; None without positive evidence
     effective_trials: float
-    log_evidence: float  # nats, all boards
+    log_evidence: float  # nats, of all boards
     delta_log_likelihood: float
 
     @property
@@ -52,8 +52,8 @@ class ScopeHypothesis:
 def possible_owner(term: Term) -> Owner:
     """Return whether a cause can belong to the unit, to a board, or to either.
 
-    A clock is either: the unit's and the host's are common to all boards, each board has
-    its own.
+    A cause of a clock can belong to either: the clocks of the unit and of the host are common to
+    all boards, and each board has its own clock.
     """
     if is_unit_cause(term):
         return "unit"
@@ -66,7 +66,7 @@ def compare_scopes(
     """Return the hypotheses about one cause on several boards that have positive evidence.
 
     Args:
-        boards: the nuisance projector at each board's fit without the effect to explain.
+        boards: the nuisance projector at the fit of each board without the cause to explain.
         term: the cause.
         tests: how many share the false alarms.
     """

@@ -1,7 +1,7 @@
-"""Sample-time jitter as a named cause: it shows in the variance of a residual, not in its mean.
+"""Sample-time jitter as a named cause: it changes the variance of a residual, not its mean.
 
-Jitter is named if it is significant, if alternative variance models are clearly less likely, and
-if low and high frequencies agree on its size.
+The check names jitter if it is significant, if alternative variance models are clearly less
+likely, and if low and high frequencies give the same size.
 
 What to use when: `JitterCheck` after a search.
 """
@@ -24,7 +24,7 @@ from gyrorig_solver.estimate import NuisanceProjector
 from gyrorig_solver.model.causes.sample_jitter import SampleJitter
 
 JITTER_COVARIATES = ("acceleration_scatter", "moving")  # nameless tests that show jitter
-DETECTION_POWER = 0.8  # of what is called detectable
+DETECTION_POWER = 0.8  # power of the test at the smallest detectable size
 
 
 class JitterCheck:
@@ -43,7 +43,7 @@ class JitterCheck:
         )
         if verdict.named or not has_motion_noise:
             return verdict
-        # Scatter that is no jitter is noise in motion, which the fit has already.
+        # Scatter that is not jitter is noise in motion, which the fit already contains.
         return _detect_jitter(projector, model.tests, with_motion_noise=True)
 
 
@@ -89,7 +89,10 @@ def _detect_jitter(projection: NuisanceProjector, tests: int, with_motion_noise:
 def _explain_tests(
     trend: VarianceTrendTest, tests: Sequence[DependenceTest]
 ) -> list[DependenceTest]:
-    """Return what jitter leaves of the dependence tests; `trend`: of the scatter with motion."""
+    """Return the dependence tests that jitter does not explain.
+
+    `trend`: the test of the scatter with motion in addition to the jitter.
+    """
     remaining = [test for test in tests if test.covariate not in JITTER_COVARIATES]
     remaining += [
         replace(
@@ -105,7 +108,10 @@ def _explain_tests(
 
 
 def _find_dependence(estimate: JitterEstimate) -> DependenceTest | None:
-    """Return a covariate on which the jitter's size depends, though it must not; None for none."""
+    """Return the test of a covariate on which the size of the jitter depends; None if none.
+
+    The size of true jitter depends on no covariate.
+    """
     modulation = estimate.modulation
     if modulation is None or modulation.p_value >= REJECTION_LEVEL:
         return None

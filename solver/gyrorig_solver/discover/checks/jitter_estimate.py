@@ -1,21 +1,22 @@
-"""Jitter of the samples' instants: a cause that shows in the scatter, not in the mean.
+"""Jitter of the sample times: a cause that changes the variance of the residual, not its mean.
 
-A sample taken d late differs by d times the slope of the rate, on all axes at once; d is
-white with deviation s. The whitened residual is cut into short blocks and each transformed
-(DCT-II); coefficient j of block b is a vector over the axes with the covariance
+If a sample is late by d, it differs by d times the slope of the rate, on all axes at once. The
+delays d are white with the standard deviation s. The whitened residual is divided into short
+blocks, and each block is transformed (DCT-II). Coefficient j of block b is a vector over the axes
+with the covariance
 
-    I + s^2 A,   A_ik = M_ik a_i a_k,   M the block's mean of slope_i slope_k,
+    I + s^2 A,   A_ik = M_ik a_i a_k,   M: mean of slope_i slope_k over the block,
     a_i = (S_i(f_j) r/2)^(-1/2)
 
-since white times are not shaped by the sensor's low-pass while its noise, S, is (1/S as a
-short block's coefficient sees it, leakage and all). Along the eigenvectors of A the
-coefficients are independent, so that likelihood, estimate (Fisher scoring in s^2) and
-deviation of s are sums.
+Here, S is the density of the sensor's noise, which the low-pass shapes, and r is the sampling rate.
+The low-pass does not shape white jitter. 1/S is averaged over frequency as a coefficient of a short
+block does, with its leakage. Along the eigenvectors of A, the coefficients are independent.
+Therefore the likelihood, the estimate (Fisher scoring in s^2) and the uncertainty of s are sums.
 
-What the mean model lacks at starts and stops is smooth, jitter is not: slow and fast
+Errors of the mean model at starts and stops are smooth, but jitter is not. Therefore slow and fast
 coefficients must agree on s.
 
-What to use when: `estimate_jitter` at a fit; `scatter_names` makes a cause of it.
+What to use when: `estimate_jitter` at a fit; `jitter_cause` names the cause.
 
 Source: Whittle's likelihood for a locally stationary process, Dahlhaus, Ann. Statist. 25
 (1997) 1.
@@ -38,13 +39,13 @@ from gyrorig_solver.estimate import NoiseModel, NuisanceProjector
 from gyrorig_solver.model.causes.sample_jitter import SampleJitter
 from gyrorig_solver.numerics import chi2_upper_tail, normal_quantile
 
-BLOCK_LENGTH = 16  # samples; an acceleration lasts some tens
-STILL_SHARE = 1e-3  # of the largest slope squared: slower changes count as none
-MIN_STILL_BLOCKS = 16  # blocks without acceleration that the noise's level is judged by
-MIN_LEAD_NATS = 3.0  # nats that another shape must be behind by: a belief of 95 %
-MIN_AGREEMENT_P = 1e-3  # chance below which slow and fast coefficients contradict each other
-MAX_SIZE_RATIO = 2.0  # and the factor of s^2 that they must differ by, too
-FREQUENCY_COUNT = 512  # over which the noise's density is averaged
+BLOCK_LENGTH = 16  # samples; an acceleration lasts some tens of samples
+STILL_SHARE = 1e-3  # share of the largest squared slope below which a block has no acceleration
+MIN_STILL_BLOCKS = 16  # blocks without acceleration that are necessary for the noise level
+MIN_LEAD_NATS = 3.0  # lead over another shape of the variance: a probability of 95 %
+MIN_AGREEMENT_P = 1e-3  # p-value below which slow and fast coefficients contradict each other
+MAX_SIZE_RATIO = 2.0  # a contradiction also needs this factor between their values of s^2
+FREQUENCY_COUNT = 512  # frequencies over which the noise density is averaged
 MAX_ITERATIONS = 40
 RELATIVE_TOLERANCE = 1e-6
 
@@ -55,14 +56,12 @@ class JitterEstimate:
 
     deviation_s: float
     std_s: float
-    statistic: float  # twice the log likelihood that leaving it out would cost
-    p_value: float  # one test
-    rivals: tuple[tuple[str, float], ...]  # other shapes of scatter, nats relative to jitter
+    statistic: float  # twice the log-likelihood that the model loses without jitter
+    p_value: float  # of a single test
+    rivals: tuple[tuple[str, float], ...]  # other shapes of the variance, nats relative to jitter
     is_consistent: bool  # slow and fast coefficients agree
-    detectable_s: float  # deviation that shows 4 times in 5, of as many tests as were given
-    remaining_trend: (
-        VarianceTrendTest  # whether the scatter grows with motion, and how fast, in addition to it
-    )
+    detectable_s: float  # smallest detectable deviation, with the given power and number of tests
+    remaining_trend: VarianceTrendTest  # of the variance without the jitter, by motion and speed
     modulation: DependenceTest | None  # of its size, by the most significant covariate
 
     @property
@@ -73,10 +72,10 @@ class JitterEstimate:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _VarianceModel:
-    """Independent coefficients of unit noise variance plus a multiple of a shape."""
+    """Independent coefficients with a variance of 1 by noise plus a multiple of a shape."""
 
-    squares: FloatArray  # (m,), squared
-    shape: FloatArray  # (m,), what a unit of the cause adds
+    squares: FloatArray  # (m,), squares of the coefficients
+    shape: FloatArray  # (m,), variance that a unit of the cause adds
 
     def log_likelihood(self, size: float) -> float:
         variance = 1.0 + size * self.shape
@@ -86,7 +85,7 @@ class _VarianceModel:
         return 0.5 * float(np.sum((self.shape / (1.0 + size * self.shape)) ** 2))
 
     def most_likely_size(self) -> float:
-        """Return the maximum-likelihood size, not below zero."""
+        """Return the maximum-likelihood size, at least zero."""
         if not self.shape.any():
             return 0.0
         size = 0.0
@@ -113,15 +112,15 @@ def estimate_jitter(
     power: float,
     with_motion_noise: bool = False,
 ) -> JitterEstimate | None:
-    """Estimate the jitter in a fit's residual; None where nothing accelerates.
+    """Estimate the jitter in a fit's residual; None without accelerations.
 
     Args:
         projection: the nuisance projector at the fit.
         tests: how many share the false alarms, for the detectable size.
-        alpha: rate of false alarms of all of them.
-        power: share of cases in which a detectable size shows.
-        with_motion_noise: beside the fit's noise in motion. Otherwise the noise is that at rest,
-            and jitter competes with noise in motion for all of the scatter.
+        alpha: false-alarm rate of all tests together.
+        power: probability that a detectable size is detected.
+        with_motion_noise: in addition to the noise in motion of the fit. Otherwise the noise is
+            that at rest, and jitter and noise in motion both compete for the whole scatter.
     """
     blocks = _block_coefficients(projection, with_motion_noise)
     if blocks is None:
@@ -170,20 +169,20 @@ def estimate_jitter(
 
 
 def _root_std(size: float, information: float) -> float:
-    """Return the standard uncertainty of the root of a size; inf for zero."""
+    """Return the standard uncertainty of the square root of a size; inf for a size of zero."""
     return float(0.5 / np.sqrt(size * information)) if size > 0.0 else float("inf")
 
 
 def _remaining_trend(
     jitter: _VarianceModel, size: float, speeds: FloatArray, shape: tuple[int, ...]
 ) -> VarianceTrendTest:
-    """Test whether the variance, without the jitter's, still grows with motion and speed.
+    """Test whether the variance without that of the jitter still grows with motion and speed.
 
     Args:
         jitter: the coefficients.
-        size: of the jitter, squared.
+        size: squared jitter.
         speeds: shapes of a variance in each block, (k, b).
-        shape: of the coefficients, (b, BLOCK, 3).
+        shape: shape of the array of coefficients, (b, BLOCK, 3).
     """
     excess = jitter.squares / (1.0 + size * jitter.shape) - 1.0
     shapes = [np.broadcast_to(speed_shape[:, None, None], shape).ravel() for speed_shape in speeds]
@@ -191,7 +190,7 @@ def _remaining_trend(
 
 
 def _bands_agree(jitter: _VarianceModel, size: float, shape: tuple[int, ...]) -> bool:
-    """Return whether low and high frequencies give the same jitter."""
+    """Return whether low and high frequencies give the same size of the jitter."""
     fast = np.zeros(shape, dtype=np.bool_)
     fast[:, shape[1] // 2 :] = True
     bands = [jitter.subset(band) for band in (fast.ravel(), ~fast.ravel())]
@@ -205,7 +204,7 @@ def _bands_agree(jitter: _VarianceModel, size: float, shape: tuple[int, ...]) ->
 
 
 def _noise_weights(noise: NoiseModel) -> FloatArray:
-    """Return a_i of each coefficient, (BLOCK_LENGTH, 3): the root of the whitened unit variance."""
+    """Return a_i of each coefficient, (BLOCK_LENGTH, 3): the root of a whitened unit variance."""
     rate_hz = noise.sampling.rate_hz
     frequency = (np.arange(FREQUENCY_COUNT) + 0.5) * rate_hz / (2.0 * FREQUENCY_COUNT)
     power = 2.0 / (noise.density(np.asarray(frequency, np.float64)) * rate_hz)
@@ -223,7 +222,8 @@ def _block_coefficients(
     """Return coefficients, slopes, motion shapes, weights and motion of blocks.
 
     Returns:
-        (b, 3, BLOCK) in units of the noise, (b, 3, 3), (k, b), (BLOCK, 3), of b; None without.
+        (b, 3, BLOCK) in units of the noise, (b, 3, 3), (k, b), (BLOCK, 3), motion of b blocks; None
+        without accelerations.
     """
     left = projection.orthogonal_component(projection.residual)
     values, slopes, moving, weights, places, start = [], [], [], [], [], 0
@@ -258,10 +258,10 @@ def _block_coefficients(
     still = strength < STILL_SHARE * strength.max()
     level = np.ones(3)
     if still.sum() >= MIN_STILL_BLOCKS:
-        # Levels found in the whole residual have the jitter in them.
+        # Noise levels that were fitted to the whole residual contain the jitter.
         level = np.sqrt(np.mean(value[still] ** 2, axis=(0, 2)))
     slope = np.where(still[:, None, None], 0.0, slope)
-    # Recordings of one board are sampled alike; their levels are nearly the same.
+    # All recordings of one board have the same sampling and nearly the same noise levels.
     weight = np.mean(weights, axis=0) / level
     moved = np.concatenate(moving, axis=1)
     return value / level[None, :, None], slope, moved, weight, BlockMotion.concatenate(places)

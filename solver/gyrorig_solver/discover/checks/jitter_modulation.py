@@ -1,12 +1,13 @@
 """Tests whether the size of a jitter depends on a covariate, which true jitter does not.
 
-Samples are early or late whichever axis moves, at any speed and time. An axis that sticks at
-starts and stops adds variance at the same places, but on that axis and at low speed only. The
-jitter's variance is modulated by the accelerating axis, the speed and the time, and each modulation
-is score-tested with the jitter's own size free.
+Jitter makes samples early or late with any moving axis, at any speed and time. An axis that sticks
+at starts and stops adds variance at the same places, but only on that axis and at low speed.
+Therefore the variance of the jitter is modulated by the accelerating axis, the speed and the time,
+and a score test of each modulation is made with the size of the jitter free.
 
-With m independent values of variance v = 1 + s^2 a, the derivative by a modulation g of the size is
-D = a g / v, the score D e / 2 with e = value^2 / v - 1, its information D D' / 2.
+The test uses m independent values with the variance v = 1 + s^2 a. The derivative by a modulation g
+of the size is D = a g / v. The score is D e / 2 with e = value^2 / v - 1, and its information is
+D D' / 2.
 
 What to use when: `BlockMotion` for the modulations, `find_modulation` for the most significant.
 
@@ -24,9 +25,8 @@ from gyrorig_solver.model import SignalState
 from gyrorig_solver.numerics import chi2_upper_tail, score_statistic
 
 MODULATION_WAVES = 3  # half waves of the speed and of the time
-MIN_RELATIVE_STRENGTH = (
-    1e-7  # of the strongest: modulations that are sums of others add no information
-)
+# Relative to the strongest; modulations that are sums of others add no information.
+MIN_RELATIVE_STRENGTH = 1e-7
 DESCRIPTIONS = {
     "pan_transient": "on which axis starts and stops (the scatter changes)",
     "speed": "on the speed (the scatter changes)",
@@ -38,19 +38,19 @@ DESCRIPTIONS = {
 class BlockMotion:
     """The motion in blocks of samples: axis, speed and time; (b,) each."""
 
-    axis_balance: FloatArray  # 1: all acceleration is pan's; -1: tilt's
+    axis_balance: FloatArray  # 1: only pan accelerates; -1: only tilt accelerates
     speed: FloatArray
     time_s: FloatArray
 
     @classmethod
     def of(cls, scene: SignalState, speed: FloatArray, length: int, used: BoolArray) -> Self:
-        """Average over blocks of so many block means, the used ones.
+        """Return the averages over the used blocks.
 
         Args:
             scene: a part of a series.
             speed: of the stage, (n,).
-            length: of a block.
-            used: (blocks,), n // length of them.
+            length: number of values of a block.
+            used: whether each of the n // length blocks is used, (blocks,).
         """
         jolt = np.zeros((scene.interval_count, 3))
         if scene.has_angles:
@@ -97,8 +97,8 @@ def find_modulation(
 
     Args:
         value: squares of independent coefficients, (b, m).
-        shape: what a unit of the jitter adds to their variance, (b, m).
-        size: the likeliest.
+        shape: variance that a unit of the jitter adds to each, (b, m).
+        size: the maximum-likelihood size of the jitter.
         motion: of the blocks.
     """
     variance = 1.0 + size * shape
@@ -120,7 +120,7 @@ def find_modulation(
 
 
 def _score_statistic(directions: FloatArray, excess: FloatArray) -> tuple[float, int]:
-    """Return the score statistic of all directions but the first, which is at its optimum."""
+    """Return the score statistic of all directions except the first, which is at its optimum."""
     energy = np.sum(directions**2, axis=1)
     is_strong = energy > 0.0
     scale = np.sqrt(2.0 * energy[is_strong])

@@ -1,9 +1,9 @@
 """Checks of a model after the search: one signature for all.
 
-A check looks at the model that the search found and returns a verdict. It can take names away,
-name causes that show elsewhere than in the mean of the residual, or explain tests of the residual.
-The checks run in the order of a list (`MOTION_CHECKS`, `ATTITUDE_CHECKS`). A new one is a class
-with `judge` in a file of this folder, and an entry of a list.
+A check examines the model that the search found and returns a verdict. It can remove names, name
+causes that the mean of the residual does not show, or explain tests of the residual. The checks run
+in the order of a list (`MOTION_CHECKS`, `ATTITUDE_CHECKS`). To add a check, write a class with
+`judge` in a file of this folder, and add it to a list.
 
 What to use when: `judge_model` for the result of a search.
 """
@@ -24,7 +24,8 @@ from gyrorig_solver.discover.cause_search import SearchResult
 from gyrorig_solver.discover.fit_space import Space
 from gyrorig_solver.discover.testable_terms import count_tests, select_testable
 
-VARIANCE_COVARIATES = ("moving", "acceleration_scatter", "line", "wandering")  # no shape of a mean
+# Tests that do not show a change of the mean.
+VARIANCE_COVARIATES = ("moving", "acceleration_scatter", "line", "wandering")
 DEPENDENCE_FALSE_ALARM_RATE = 0.001  # share of recordings with an unexplained dependence by chance
 Tests = Sequence[DependenceTest]
 
@@ -35,16 +36,17 @@ def _keep_all(tests: Tests) -> Tests:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Verdict:
-    """What a check says of a model; by default that it is right."""
+    """The result of a check; the default is that the model is right."""
 
-    removed: tuple[bool, ...] = ()  # which causes of the search lose their names
-    rejecting_tests: tuple[DependenceTest, ...] = ()  # significant, whatever else the model has
-    unexplained: UnexplainedResidual | None = None  # reported if the refit leaves nothing else
+    removed: tuple[bool, ...] = ()  # whether each cause of the search loses its name
+    rejecting_tests: tuple[DependenceTest, ...] = ()  # reported as unexplained in any case
+    unexplained: UnexplainedResidual | None = None  # reported if the refit shows nothing else
     named: tuple[NamedCause, ...] = ()  # causes that the fit does not contain
     detection_limits: tuple[DetectionLimit, ...] = ()
-    covered_causes: frozenset[str] = frozenset()  # whose limits are those above, or none
-    dependence_tests: tuple[DependenceTest, ...] | None = None  # in place of the model's own
-    explain_tests: Callable[[Tests], Tests] = _keep_all  # to what the named causes leave of them
+    covered_causes: frozenset[str] = frozenset()  # causes without other limits than those above
+    dependence_tests: tuple[DependenceTest, ...] | None = None  # in place of those of the model
+    # Returns the tests that the named causes do not explain.
+    explain_tests: Callable[[Tests], Tests] = _keep_all
     remarks: tuple[str, ...] = ()
 
 
@@ -78,7 +80,7 @@ class JudgedModel(Generic[Space]):
 
     @property
     def dependence_tests(self) -> Tests:
-        """The tests of the residual, before any is explained."""
+        """The tests of the residual, including those that named causes explain."""
         replaced = [v.dependence_tests for v in self.verdicts.values() if v.dependence_tests]
         return replaced[-1] if replaced else self._own_dependence_tests
 
@@ -100,8 +102,9 @@ class JudgedModel(Generic[Space]):
         if not significant:
             earlier = [v.unexplained for v in self.verdicts.values() if v.unexplained is not None]
             return earlier[0] if earlier else None
-        # A dependence of the mean also increases the scatter, and is the better hint.
-        # Of several that pass for one another the likeliest is, not the least likely by chance.
+        # A dependence of the mean also increases the scatter, so it comes before tests of the
+        # scatter. Several covariates can show the same effect. The one with the most evidence
+        # comes first, not the one with the smallest p-value.
         ordered = sorted(
             significant.values(),
             key=lambda test: (test.covariate in VARIANCE_COVARIATES, -test.log_evidence),
@@ -116,12 +119,12 @@ class JudgedModel(Generic[Space]):
         return not self.space.fitted_terms[k].term.nameless_description
 
     def without(self, removed: Sequence[bool]) -> "JudgedModel[Space]":
-        """Return the model without some causes, all else refitted.
+        """Return the model without some causes, with everything else refitted.
 
         If the fit with the other causes does not converge, all causes are removed.
 
         Args:
-            removed: which of the ranked causes.
+            removed: whether each ranked cause is removed.
         """
         dropped = [k for (k, _), out in zip(self.fitted_causes, removed, strict=True) if out]
         others = [term for k, term in enumerate(self.space.fitted_terms) if k not in dropped]
@@ -143,7 +146,7 @@ class JudgedModel(Generic[Space]):
 class Check(Protocol[Space]):
     """A check of a model after the search."""
 
-    removes_names: bool  # or states something about the residual, which a removal changes
+    removes_names: bool  # False: the verdict is about the residual, which a removed name changes
 
     def judge(self, model: JudgedModel[Space]) -> Verdict:
         """Return the verdict on a model."""
@@ -151,9 +154,10 @@ class Check(Protocol[Space]):
 
 
 def judge_model(model: JudgedModel[Space], checks: Sequence[Check[Space]]) -> JudgedModel[Space]:
-    """Run checks one after the other; a model that loses a name is fitted again without it.
+    """Run checks one after the other; if a cause loses its name, refit the model without it.
 
-    The refitted model has another residual, so the other earlier checks are repeated on it.
+    The refitted model has another residual. Therefore the earlier checks that do not remove names
+    are repeated.
     """
     for check in checks:
         verdict = check.judge(model)

@@ -1,12 +1,12 @@
 """A bias that follows the heat of the motors, as an alternative to causes of the time.
 
-Motors heat the board while they run, and its thermometer need not show it. The bias then follows
-the time for which the motors have run, with a lag. Under a program that moves most of the time it
-looks like a warm-up, a step or a random walk of the bias. No cause of the catalogue has this form;
-see decision 0074.
+Motors heat the board while they run, and the thermometer of the board may not show it. The bias
+then follows the time for which the motors have run, with a lag. If a program moves most of the
+time, this looks like a warm-up, a step or a random walk of the bias. No cause of the catalogue has
+this form; see decision 0074.
 
-What to use when: `motor_heat_family` among the functions that a named cause must beat;
-`likelier_motor_heat` for the test that takes a name away.
+What to use when: `motor_heat_family` as one of the functions that a named cause must lead;
+`likelier_motor_heat` for the test that removes a name.
 """
 
 from collections.abc import Sequence
@@ -21,12 +21,15 @@ from gyrorig_solver.estimate import NuisanceProjector
 from gyrorig_solver.model import Signals, SignalState
 
 COVARIATE = "motor_heat"
-# Assumed: no rig with this effect has been measured. A longer lag is a ramp in most recordings.
+# Assumed, because no rig with this effect was measured. In most recordings, a longer lag is a ramp.
 LAGS_S = np.array([3.0, 10.0, 30.0, 100.0])
 
 
 def motor_heat_family(scenes: Sequence[SignalState]) -> BasisFamily | None:
-    """Return a bias of each axis behind the running motors, with each lag; None without moves."""
+    """Return the bias of each axis that lags behind the running motors; None without moves.
+
+    There is one signal per axis and lag.
+    """
     if not any(scene.context.motion_profiles for scene in scenes):
         return None
     description = "on how long the motors have run (the bias changes)"
@@ -41,8 +44,8 @@ def likelier_motor_heat(
 
     Args:
         projector: the nuisance projector at the fit without the cause.
-        cause_nats: the log evidence of the cause, against none.
-        needed_nats: by which the heat must be more probable.
+        cause_nats: the log evidence of the cause, relative to no cause.
+        needed_nats: the lead in log evidence that the heat needs.
     """
     family = motor_heat_family(projector.states)
     if family is None:
@@ -56,10 +59,10 @@ def likelier_motor_heat(
 
 
 def lagged_running_share(spans_s: FloatArray, lags_s: FloatArray, time_s: FloatArray) -> FloatArray:
-    """Return 1 while a motor runs and 0 while none runs, behind lags of first order.
+    """Return the first-order lagged response to a signal that is 1 while a motor runs, else 0.
 
     Args:
-        spans_s: begin and end of each move, (m, 2).
+        spans_s: start and end of each move, (m, 2).
         lags_s: shape (k,).
         time_s: in increasing order, (n,).
 

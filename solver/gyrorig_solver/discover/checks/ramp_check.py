@@ -22,12 +22,12 @@ class RampCheck:
     def judge(self, model: JudgedModel[MotionFitSpace]) -> Verdict:
         """Return the named error, or its detection limits.
 
-        A base speed from the grid is a start value for a fit. The grid is coarse, so that its
-        standard uncertainty does not hold.
+        A base speed from the grid is a start value for a fit. The grid is coarse, so that the
+        standard uncertainty from it is not valid.
         """
         result = detect_ramp_error(model.space.solution, model.tests, FALSE_ALARM_RATE)
         named = result.named
-        acceleration = term_of_law("acceleration").cause  # the fit compares every acceleration
+        acceleration = term_of_law("acceleration").cause  # always tested by `detect_ramp_error`
         if named is None:
             covered = frozenset({acceleration})
             return Verdict(detection_limits=result.detection_limits, covered_causes=covered)
@@ -35,7 +35,7 @@ class RampCheck:
             values = tuple(replace(value, std=np.inf) for value in named.values)
             named = replace(named, values=values)
         if any(state.context.is_averaged for state in model.result.projector.states):
-            # The replies alone do not distinguish these; the rates would.
+            # The replies alone do not distinguish these causes, but exact rates would.
             ramp_causes = [term.cause for term in catalogue().values() if term.stage in RAMP_STAGES]
             others = tuple(cause for cause in ramp_causes if cause != named.cause)
             named = replace(named, one_of=others)

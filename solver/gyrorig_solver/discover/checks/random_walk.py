@@ -1,12 +1,12 @@
 """Bias random walk as a named cause, from the noise levels of a fit.
 
-The noise levels include the random walk, therefore the residual shows nothing. The walk is named
-if an unusual walk is significantly more likely than a typical one with flicker of any level, if no
-other test is significant, if the bias does not follow the heat of the motors, and if no alternative
-cause is nearly as likely.
+The noise levels contain the random walk, so that the residual does not show it. The check names the
+walk under these conditions. An unusual walk is significantly more likely than a typical walk with
+flicker of any level. No other test is significant. The bias does not follow the heat of the motors.
+The bias has no jumps.
 
-What to use when: `RandomWalkCheck` after a search; causes that the walk leaves possible (a step, a
-warm-up) are listed with it.
+What to use when: `RandomWalkCheck` after a search. Its finding lists the other causes that are
+possible, such as a step or a warm-up.
 """
 
 from collections.abc import Sequence
@@ -43,10 +43,10 @@ from gyrorig_solver.model import XYZ
 from gyrorig_solver.model.causes.bias_random_walk import BiasRandomWalk
 from gyrorig_solver.numerics import chi2_upper_tail
 
-ACTING_NATS = 4.5  # of one axis, three deviations: there it acts
-JUMP_AVERAGING_S = (1.0, 2.0, 4.0)  # means long enough that the white noise does not hide a leap
+ACTING_NATS = 4.5  # gain of an axis on which the walk acts: three standard deviations
+JUMP_AVERAGING_S = (1.0, 2.0, 4.0)  # so long that white noise does not hide a jump
 JUMP_KURTOSIS_SIGMA = 3.5
-MIN_MEANS = 20  # means
+MIN_MEANS = 20  # the kurtosis needs more means than these
 
 
 class RandomWalkCheck:
@@ -57,7 +57,7 @@ class RandomWalkCheck:
     def judge(self, model: JudgedModel[MotionFitSpace]) -> Verdict:
         """Return the named walk, and the tests of the residual with noise levels that contain it.
 
-        Other dependences are separate and come first.
+        If the residual still depends on another covariate, the walk is not named.
         """
         solution = model.space.solution
         walk = detect_random_walk(
@@ -66,7 +66,8 @@ class RandomWalkCheck:
         if walk is None:
             return Verdict()
         projector = model.space.projector()
-        # The levels contain the walk. What still follows the motors' heat is no walk.
+        # The noise levels contain the walk. If the bias still follows the motors' heat, it has no
+        # random walk.
         heat = likelier_motor_heat(projector, 0.0, DECISIVE_NATS)
         if heat is not None:
             return Verdict(rejecting_tests=(heat,))
@@ -82,12 +83,12 @@ def detect_random_walk(
     alpha: float,
     noise_alternatives: Sequence[NoiseAlternative] = (),
 ) -> NamedCause | None:
-    """Return a bias random walk as a named cause; None where it is that of a typical part.
+    """Return a bias random walk as a named cause; None if it is typical or the bias has jumps.
 
     Args:
         solution: the last fit of a search.
         tests: how many share the false alarms.
-        alpha: rate of false alarms of all of them.
+        alpha: false-alarm rate of all tests together.
         noise_alternatives: causes that are significant with typical noise levels only.
     """
     if has_typical_noise(solution):
@@ -126,14 +127,14 @@ def detect_random_walk(
 
 
 def has_jumps(signal: FloatArray, rate_hz: float) -> bool:
-    """Return whether a signal has jumps, by the kurtosis of its increments.
+    """Return whether a signal has jumps, by the kurtosis of the differences of its means.
 
-    Judged by the kurtosis of the differences of means, whose deviation is sqrt(24/n) for
-    normal ones (Kendall and Stuart, The Advanced Theory of Statistics, volume 1).
+    For n normal differences, the kurtosis has the standard deviation sqrt(24/n) (Kendall and
+    Stuart, The Advanced Theory of Statistics, volume 1).
 
     Args:
         signal: shape (n, k).
-        rate_hz: of it.
+        rate_hz: sampling rate of the signal.
     """
     for mean_s in JUMP_AVERAGING_S:
         block = max(1, round(mean_s * rate_hz))
@@ -158,7 +159,7 @@ def _residual_has_jumps(solution: ConvergedFit, axes: BoolArray) -> bool:
 
 
 def _combine_levels(profiles: Sequence[WalkProfile]) -> tuple[FloatArray, FloatArray]:
-    """Return the walk of each axis and its uncertainty over all recordings, (3,) each."""
+    """Return the walk of each axis and its uncertainty from all recordings, (3,) each."""
     levels = np.array([profile.posterior_level() for profile in profiles]).reshape(-1, 3, 2)
     weight = levels[:, :, 1] ** -2.0
     total = weight.sum(axis=0)

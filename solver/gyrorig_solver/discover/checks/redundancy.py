@@ -1,12 +1,12 @@
 """Rejects the names that the rest of the residual makes redundant.
 
-Where part of the residual is unexplained, a named cause may be a part of that effect.
+If a part of the residual is unexplained, a named cause may be a part of that unknown effect.
 
- * It is a part if the residual still depends as strongly on a covariate of the cause.
- * A cause that does not depend on the covariate is added to the fit without it, together with a
-   smooth function of the covariate, in both orders. It is rejected if it explains nothing after the
-   function is fitted, and the function explains clearly more. A true cause next to another effect
-   explains a part of the residual that the function does not explain.
+ * It is a part if the residual still depends strongly on a covariate of the cause.
+ * The cause is added to the fit without it, together with a smooth function of the unexplained
+   covariate, in both orders. It is rejected if it explains nothing after the function is fitted,
+   and the function explains clearly more. A true cause next to another effect explains a part of
+   the residual that the function does not explain.
 
 Source: non-nested models, each tested with the other; Davidson and MacKinnon, Econometrica 49
 (1981) 781.
@@ -57,7 +57,7 @@ def find_partial_explanations(
     """Return which causes explain only a part of a larger effect of the same covariate.
 
     Args:
-        model: where the search ended.
+        model: the model at the end of the search.
         dependences: significant residual dependences of its fit.
     """
     partial = []
@@ -79,7 +79,7 @@ def dominated_by_nonparametric(
     """Return which causes are made redundant by a smooth function of an unexplained covariate.
 
     Args:
-        model: where the search ended.
+        model: the model at the end of the search.
         dependences: significant residual dependences of its fit.
     """
     projection = model.result.projector
@@ -93,7 +93,7 @@ def dominated_by_nonparametric(
         projector = model.space.projector_without(k)
         alpha = FALSE_ALARM_RATE / (ranked.effective_trials * model.tests)
         extension = model.space.fitted_terms[k]
-        # One family at a time: the signals of all of them would be hundreds of megabytes.
+        # One family at a time, because the signals of all families take hundreds of megabytes.
         dominated.append(
             any(
                 _is_dominated(projector, extension, family.whitened(projection), alpha)
@@ -106,7 +106,7 @@ def dominated_by_nonparametric(
 def _is_dominated(
     projector: NuisanceProjector, extension: FittedTerm, whitened: WhitenedSignals, alpha: float
 ) -> bool:
-    """Return whether a smooth function makes a cause redundant, both added to a fit without it."""
+    """Return whether a smooth function makes a cause redundant; `projector`: without the cause."""
     cause_signals = projector.term_derivatives(
         extension.term, extension.values, range(extension.values.size)
     )

@@ -1,12 +1,12 @@
 """Tests whether a residual depends on an angle, a speed, the time or a transient.
 
 Smooth functions of each covariate are projected orthogonally to all nuisance parameters, like a
-cause: first the smoothest ones, then more detail. A significant test that no cause explains is
-reported as "unexplained, depends on X". If several covariates are significant, X is the one whose
-smooth function has the most evidence.
+cause. The tests use the smoothest functions first, then more detail. A significant test that no
+cause explains is reported as "unexplained, depends on X". If several covariates are significant, X
+is the covariate whose smooth function has the most evidence.
 
-What to use when: `residual_dependence_tests` for all tests, `limited_dependence_tests` where the
-noise is not typical, `dependences_on` for chosen functions; `variance_tests` for the variance.
+What to use when: `residual_dependence_tests` for all tests, `limited_dependence_tests` if the noise
+is not typical, `dependences_on` for chosen functions; `variance_tests` for the variance.
 """
 
 from collections.abc import Callable, Iterable, Sequence
@@ -26,21 +26,21 @@ from gyrorig_solver.numerics import chi2_upper_tail
 
 ProjectorFunction = Callable[[], NuisanceProjector]
 
-DETAIL_LIMITS = (3.0, 8.0, np.inf)  # half waves that are looked at together, coarse to fine
-VARIANCE_TESTS = 4  # tests of the scatter
-EXACT_BELOW_P = 1.0  # tests counted: what is stated as less is of the exact signals
-REFINE_BELOW_P = 0.05  # with noise levels limited to typical ones
+DETAIL_LIMITS = (3.0, 8.0, np.inf)  # half waves of the sets that are tested, coarse to fine
+VARIANCE_TESTS = 4  # tests of the variance, which share the false alarms
+EXACT_BELOW_P = 1.0  # p-value, with all tests counted, below which the exact signals are tested
+REFINE_BELOW_P = 0.05  # p-value below which the test is repeated with fitted noise levels
 NO_SCORE_TEST = ScoreTest(0.0, 0, np.zeros(0))
-VARIANCE_GRID = np.exp(np.linspace(-4.0, 16.0, 61))  # of a free function, squared, in deviations
+VARIANCE_GRID = np.exp(np.linspace(-4.0, 16.0, 61))  # of a smooth function, relative to the noise
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DetailTest:
     """The score test of a basis family at its most significant detail."""
 
-    score_test: ScoreTest  # by the detail that shows most
-    signal_indices: IntArray  # (k,), which signals that are
-    p_value: float  # the choice of the detail counted
+    score_test: ScoreTest  # at the most significant detail
+    signal_indices: IntArray  # (k,), signals up to that detail
+    p_value: float  # with the choice of the detail counted
 
 
 def residual_dependence_tests(projection: NuisanceProjector) -> list[DependenceTest]:
@@ -62,9 +62,8 @@ def limited_dependence_tests(
 ) -> list[DependenceTest]:
     """Test a residual with typical noise levels; the smallest p-value first.
 
-    A test that is significant must also be significant with the fitted levels.
-
-    A projector is large, so only one of them is in memory at a time.
+    A significant test must also be significant with the fitted levels. A projector is large, so
+    that only one of them is in memory at a time.
 
     Args:
         scenes: all parts of all recordings that are fitted together.
@@ -139,7 +138,7 @@ def _dependence_test(
 def _refined(
     test: DependenceTest, usual_projector: NuisanceProjector, family: BasisFamily, tests: int
 ) -> DependenceTest:
-    """Return a significant test as it is with fitted noise levels, where that is less so."""
+    """Return the test with fitted noise levels if it is less significant, otherwise `test`."""
     if test.p_value >= REFINE_BELOW_P:
         return test
     usual = choose_detail(family.statistics(usual_projector), family.detail)
@@ -159,16 +158,15 @@ def choose_detail(
 ) -> DetailTest | None:
     """Return the test at the detail with the smallest p-value; None if no signal is left.
 
-    Each set of signals up to some detail gives a chi-squared statistic where there is nothing
-    but noise; the least likely of m sets is no less likely than its chance times m
-    (Bonferroni). A wide function is found by few degrees of freedom so, and a fine one at
-    the price of ln m nats.
+    Each set of signals up to some detail gives a chi-squared statistic in noise. The smallest
+    p-value of m sets is multiplied by m (Bonferroni). A smooth function is thus detected with few
+    degrees of freedom, and a detailed function costs ln m nats more.
 
     Args:
-        statistics: their score statistics.
+        statistics: score statistics of the signals.
         detail: of each signal, half waves.
-        nuisance_count: so many more signals come first, which the fit may follow as well: what they
-            explain is taken off, and so are their degrees of freedom.
+        nuisance_count: number of nuisance signals that come before these. Their statistic and their
+            degrees of freedom are subtracted.
     """
     nuisances = np.arange(nuisance_count)
     nuisance_test = ScoreTest.of(statistics.subset(nuisances)) if nuisance_count else NO_SCORE_TEST
@@ -197,15 +195,16 @@ def choose_detail(
 def smooth_function_evidence(statistics: ScoreStatistics, detail: FloatArray) -> float:
     """Return the log evidence of a smooth function against none, at its most probable size.
 
-    The function's parts are taken as independent and normal, of a variance that falls with
-    the square of the detail, as Brownian motion's over an interval. Their common size is
-    chosen (type II likelihood). A function that could have shown anything pays for it.
+    The prior of the parts of the function is independent and normal. Its variance decreases with
+    the square of the detail, like that of Brownian motion over an interval. The common size is that
+    with the largest evidence (type II likelihood). The evidence contains the Occam factor of the
+    function.
 
-    Source: MacKay, Neural Computation 4 (1992) 415; Brownian motion's expansion: Karhunen
-    and Loeve.
+    Source: MacKay, Neural Computation 4 (1992) 415; expansion of Brownian motion: Karhunen and
+    Loeve.
 
     Args:
-        statistics: the score statistics of its parts.
+        statistics: score statistics of the parts.
         detail: of each part, half waves.
     """
     strong_indices = np.flatnonzero(
@@ -235,7 +234,7 @@ def variance_tests(projection: NuisanceProjector, tests: int) -> list[Dependence
 
     Args:
         projection: the nuisance projector at the fit.
-        tests: among which all false alarms are shared.
+        tests: how many share the false alarms.
     """
     residual = projection.orthogonal_component(projection.residual)
     results: list[DependenceTest] = []
@@ -257,7 +256,7 @@ def variance_tests(projection: NuisanceProjector, tests: int) -> list[Dependence
 
 
 def _variance_shapes(projection: NuisanceProjector) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return motion shapes, variance by jitter and use, as long as the whitened residual."""
+    """Return motion shapes, variance by jitter and use, each for all values of the residual."""
     moving, jitter, use = [], [], []
     fastest = max(
         (float(np.linalg.norm(model.rate, axis=1).max()) for segment in projection.segments

@@ -1,9 +1,10 @@
 """Compares several named causes of one covariate with a single smooth function of it.
 
-Two named causes can imitate one effect that is not in the catalogue: a ramp and a step of the bias
-follow a bias that lags behind the temperature. Each of them passes its own specification test,
-because the other one follows the rest. Therefore the search compares two models by their evidence:
-all causes of the covariate together, and one smooth function of the covariate in their place.
+Two named causes can imitate one effect that is not in the catalogue. For example, a ramp and a step
+of the bias imitate a bias that lags behind the temperature. Each of them passes its own
+specification test, because the other cause follows the rest. Therefore the check compares two
+models by their evidence: all causes of the covariate together, and one smooth function of the
+covariate in their place.
 
 What to use when: `SharedCovariateCheck` after a search.
 """
@@ -35,7 +36,7 @@ class SharedCovariateCheck:
 def _causes_by_covariate(model: JudgedModel[Space]) -> dict[str, list[int]]:
     """Return the indices of the causes that depend on one covariate only, by that covariate.
 
-    A spectral line is no smooth function.
+    Spectral lines are excluded, because a smooth function cannot follow them.
     """
     groups: dict[str, list[int]] = {}
     for k, _ in model.fitted_causes:
@@ -53,10 +54,11 @@ def _lead_function(model: JudgedModel[Space], covariate: str, indices: Sequence[
 
 
 def _joint_evidence_nats(model: JudgedModel[Space], indices: Sequence[int]) -> float:
-    """Return the log evidence of some causes together, against none of them.
+    """Return the log evidence of some causes together, relative to none of them.
 
-    It is the sum over the causes in the order of their statistics. Each cause is fitted beside
-    those before it. The ranking already has the evidence of the last cause beside all others.
+    It is the sum over the causes in the order of their statistics. Each cause is fitted in addition
+    to those before it. The ranking already has the evidence of the last cause in addition to all
+    others.
     """
     ranked_by_index = dict(model.fitted_causes)
     ordered = sorted(indices, key=lambda k: -ranked_by_index[k].statistic)

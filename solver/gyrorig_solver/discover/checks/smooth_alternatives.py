@@ -2,7 +2,7 @@
 
 Each family is a set of signals of a sensor, ordered by detail: half waves over the range of a
 covariate (an angle, a rate, the time, the time since a move started). A significant family means
-"depends on X". A named cause that leaves a residual that its covariate explains has the wrong form.
+"depends on X". If the covariate of a named cause explains the residual, the cause has a wrong form.
 
 What to use when: `smooth_families` for all families of a recording; `modulated_effects` for a
 cause's own effect, modulated by covariates on which its size must not depend.
@@ -32,16 +32,16 @@ from gyrorig_solver.model.signal_arrays import on_all_axes, weighted_sum
 
 Covariate = Callable[[SignalState], FloatArray]  # to (n,)
 
-# Half waves: a turn of pan has 16 of what comes eight times a turn; a bias' jumps are sharp.
+# Half waves. Eight periods per turn are 16 half waves of pan; jumps of a bias need many half waves.
 PAN_WAVES, TILT_WAVES, SPEED_WAVES, TIME_WAVES, BIAS_WAVES, POSE_WAVES = 24, 8, 6, 10, 24, 8
-MOVE_AFTERMATH_S = 0.1  # after its end, in which a move still acts behind the low-pass
-MOVES_PER_BATCH = 8  # whose signals are in memory at a time
+MOVE_AFTERMATH_S = 0.1  # after the end of a move, in which the low-pass output contains the move
+MOVES_PER_BATCH = 8  # moves whose signals are in memory at a time
 CROSS_WAVES = 2  # half waves over the other angle
-MAX_RATE_POWER = 7  # of a rate; the first is the gain's own
-EDGE_WINDOW_S, EDGE_WAVES = 4.0, 8  # since a start or a stop; what is later has another cause
-EDGE_TIME_CONSTANT_S = 0.1  # a low-pass' width: the time since an edge counts by ratios from there
-MODULATION_WAVES = 4  # half waves in which an effect may grow and shrink: faster is another effect
-MIN_COVARIATE_SPAN = 1e-6  # of a covariate: what does not change, nothing can depend on
+MAX_RATE_POWER = 7  # largest power of a rate; the first power is the gain
+EDGE_WINDOW_S, EDGE_WAVES = 4.0, 8  # after a start or a stop; a later effect has another cause
+EDGE_TIME_CONSTANT_S = 0.1  # width of a low-pass; beyond it, the scale of the time is logarithmic
+MODULATION_WAVES = 4  # half waves of a change of size; a faster change is another effect
+MIN_COVARIATE_SPAN = 1e-6  # nothing can depend on a covariate with a smaller span
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -49,8 +49,8 @@ class BasisFamily:
     """Smooth basis functions of one covariate; a covariate can have several families."""
 
     covariate: str
-    description: str  # "on pan (the gain changes)"
-    signals: tuple[SignalFunction, ...]  # each to some of the k signals
+    description: str  # for example "on pan (the gain changes)"
+    signals: tuple[SignalFunction, ...]  # each function returns some of the k signals
     detail: FloatArray  # (k,), half waves of each signal: 1 is the smoothest
     windows_s: FloatArray | None = None  # (k, 2), outside of which each signal is zero
     windows_sum: WindowFunction | None = None  # the sum of the signals of some windows
@@ -89,7 +89,7 @@ class BasisFamily:
 
         Args:
             projection: the nuisance projector at a fit.
-            term: of the scenes as this cause finds them; None: as the unit believes them.
+            term: use the signal states at the input of this cause; None: states without causes.
         """
         return projection.evaluate_together(self.signals, self.detail.size, term)
 
@@ -129,7 +129,7 @@ def modulated_effects(
 ) -> Iterator[BasisFamily]:
     """Yield a cause's effect, modulated by covariates on which its size must not depend.
 
-    The signals are to be made of the scenes as the cause finds them.
+    Evaluate the signals at the signal states at the input of the cause.
 
     Args:
         extension: the cause as fitted.
@@ -242,7 +242,7 @@ def _bias_family(
             if span is None:
                 return AxisBiases(np.zeros((detail.size, scene.block_count)))
             waves = _cosine_basis(covariate(scene), span, count)
-            if product is None:  # the largest arrays of a search are these: no copy
+            if product is None:  # no copy, because these are the largest arrays of a search
                 product = waves
                 continue
             waves = np.concatenate([np.ones((1, scene.interval_count)), waves])
@@ -312,7 +312,7 @@ def _move_families(scenes: Sequence[SignalState]) -> Iterator[BasisFamily]:
             )
     spans = group_windows(np.array([(float(c.start_s[0]), float(c.end_s)) for _, c in courses]))
     for delay, name in ((False, "gain"), (True, "delay")):
-        # So many that only a few are there unwhitened at a time.
+        # The signals are many, so only a few of them are in memory unwhitened at a time.
         each = tuple(
             partial(_per_move_signals, spans[at : at + MOVES_PER_BATCH], delay)
             for at in range(0, len(spans), MOVES_PER_BATCH)
@@ -341,7 +341,7 @@ def _gain_since_move_start(begin: FloatArray, scene: SignalState) -> FloatArray:
 
 
 def _edge_basis(elapsed_s: FloatArray) -> FloatArray:
-    """Return a logarithmic cosine basis of the time since an edge that ends at zero."""
+    """Return cosine functions of the logarithmic time since an edge, zero at the window's end."""
     share = np.log1p(np.clip(elapsed_s, 0.0, EDGE_WINDOW_S) / EDGE_TIME_CONSTANT_S) / np.log1p(
         EDGE_WINDOW_S / EDGE_TIME_CONSTANT_S
     )
@@ -355,7 +355,7 @@ def _edge_transients(
 ) -> FloatArray:
     """Return transients of the time since starts and stops, on a logarithmic scale.
 
-    Signed by the move's direction after starts and after stops, and as a gain after starts.
+    They are rates with the sign of the move after starts and after stops, and a gain after starts.
     """
     stage = zero_signals(scene.interval_count)
     if axis == 0:

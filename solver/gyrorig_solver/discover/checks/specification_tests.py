@@ -1,20 +1,20 @@
 """Specification tests: a named cause against smooth functions of its covariates.
 
-An unknown effect is often close to the form of a catalogue cause, which then is significant and
-better than all other causes. Each named cause is therefore tested against
+An unknown effect is often similar to the form of a cause of the catalogue. This cause is then
+significant and better than all other causes. Therefore each named cause is tested against
 
  * smooth functions of its covariates (`covariates` of the term);
  * its own effect, modulated by the time, the angles and the speed, on which its size must not
    depend.
 
-Both are score tests with the cause, its sizes, shapes and event free. If the cause is right, the
-statistic of d signals is chi-squared with d degrees of freedom. The choice among sets is corrected
-by Bonferroni; a right cause is rejected in at most `REJECTION_LEVEL` of sessions. A cause of an
-angle is also rejected if a smooth function of that angle is decisively more probable, and a cause
-of the time if the heat of the motors is (`motor_heat`). An excess
-below `NEGLIGIBLE_SHARE` of the explained statistic is ignored, because no form is exact. A rejected
-cause keeps its name if it explains far more than a smooth function alone; see decisions 0071
-and 0078.
+Both are score tests with the cause in the model, its sizes, shapes and event free. If the cause is
+right, the statistic of d signals is chi-squared with d degrees of freedom. The p-value includes a
+Bonferroni correction for the choice among sets. A right cause is rejected in at most
+`REJECTION_LEVEL` of sessions. A cause of an angle is also rejected if a smooth function of that
+angle is decisively more probable. A cause of the time is also rejected if the heat of the motors is
+decisively more probable (`motor_heat`). An excess below `NEGLIGIBLE_SHARE` of the explained
+statistic is ignored, because no form is exact. A rejected cause keeps its name if it explains far
+more than a smooth function alone; see decisions 0071 and 0078.
 
 What to use when: `SpecificationCheck` after a search.
 
@@ -46,19 +46,18 @@ from gyrorig_solver.estimate import FittedTerm, NuisanceProjector, join_signals
 from gyrorig_solver.model import SignalState, value_indices
 from gyrorig_solver.model.term import ANGLE_COVARIATES
 
-REJECTION_LEVEL = (
-    0.005  # share of right names that may be dropped: a quarter of what names may be lost
-)
+# Share of right names that the test may reject: a quarter of the right names that may be lost.
+REJECTION_LEVEL = 0.005
 NEGLIGIBLE_SHARE = MODEL_ERROR_SHARE  # share of a cause's own statistic
-# Of a cause's own nats, by which it must lead a smooth function: half of the effect has its form.
+# Share of a cause's gain by which it must lead a smooth function: half of the effect has its form.
 FORM_ERROR_SHARE = 0.5
-LONE_FORM_SHARE = 0.2  # the same, if nothing but model error is left beside the cause
-DECISIVE_NATS = 4.6  # nats, odds of a hundred: Jeffreys, Theory of Probability, appendix B
-WHOLE_STEP_SIGMA = 5.0  # that a loss must lie below a step to be none
+LONE_FORM_SHARE = 0.2  # the same, if only model error is left in addition to the cause
+DECISIVE_NATS = 4.6  # odds of a hundred: Jeffreys, Theory of Probability, appendix B
+WHOLE_STEP_SIGMA = 5.0  # standard uncertainties by which a rejected loss is below one step
 
 
 class SpecificationCheck:
-    """Takes away the names of causes whose form a smooth function of their covariates rejects."""
+    """Removes the names of causes whose form a smooth function of their covariates rejects."""
 
     removes_names = True
 
@@ -76,15 +75,16 @@ class SpecificationCheck:
 def is_better_than_functions(model: JudgedModel[Space], k: int, ranked: RankedCause) -> bool:
     """Return whether a cause and a smooth function are far more probable than a function alone.
 
-    Then the name stays, and the rest is reported beside it: the effect has the form of the cause,
-    and something else acts as well. It must be smaller: beside a larger unknown effect, a cause can
-    be the part of it that no smooth function follows. If the rest is not larger than the error of a
-    right form, there is no second effect, and a smaller lead is enough.
+    Then the effect has the form of the cause, and a second effect acts as well. The name stays, and
+    the rest is reported in addition to it. The second effect must be smaller than the cause. With a
+    larger unknown effect, the cause can be the part of it that no smooth function follows. If the
+    rest is not larger than the error of a right form, there is no second effect. A smaller lead is
+    then enough.
 
     Args:
         model: the model with the cause.
-        k: which cause of its fit.
-        ranked: its ranking.
+        k: index of the cause in its fit.
+        ranked: the ranking of the cause.
     """
     candidate, term = ranked.candidate, model.space.fitted_terms[k].term
     beside_nats = best_function_nats(model.result.projector)
@@ -99,11 +99,11 @@ def is_better_than_functions(model: JudgedModel[Space], k: int, ranked: RankedCa
 
 
 def best_function_nats(projector: NuisanceProjector, covariate: str | None = None) -> float:
-    """Return the log evidence of the most probable smooth function of a covariate, against none.
+    """Return the log evidence of the most probable smooth function, relative to no function.
 
     Args:
         projector: the nuisance projector at a fit.
-        covariate: of which the functions are; None: of any.
+        covariate: the covariate of the functions; None: all covariates.
     """
     heat = motor_heat_family(projector.states)
     evidences = (
@@ -121,8 +121,8 @@ def find_misspecification(
 
     Args:
         model: the model with the cause.
-        k: which cause of its fit.
-        ranked: its ranking.
+        k: index of the cause in its fit.
+        ranked: the ranking of the cause.
     """
     projection, extension = model.result.projector, model.space.fitted_terms[k]
     explained_statistic = 2.0 * ranked.candidate.delta_log_likelihood
@@ -154,10 +154,11 @@ def find_misspecification(
 
 
 def _likelier_angle_function(space: FitSpace, k: int, ranked: RankedCause) -> DependenceTest | None:
-    """Return a smooth function of an angle that is far more probable than the cause; None for none.
+    """Return the test of a smooth function of an angle that is far more probable than the cause.
 
-    A form with a few unknowns can be bent so that it leaves little of another function of the
-    angle, at sizes that cancel over the range that was seen. Its evidence pays for that.
+    None if there is no such function. A form with a few unknowns can imitate another function of
+    the angle, with large sizes that cancel over the measured range. The evidence of the cause
+    contains the penalty for these sizes.
     """
     covariates = space.fitted_terms[k].term.covariates or ()
     angle_covariates = [name for name in covariates if name in ANGLE_COVARIATES]
@@ -196,8 +197,8 @@ def nonparametric_specification_test(
     Args:
         projection: the nuisance projector at the fit with the cause.
         extension: the cause as fitted.
-        family: the free functions.
-        is_modulation: whether they are made of the cause's own effect.
+        family: the smooth functions.
+        is_modulation: whether they are modulations of the cause's own effect.
     """
     nuisance_indices = (
         *value_indices(extension.term, role="shape"),
@@ -231,7 +232,7 @@ def nonparametric_specification_test(
 
 
 def _is_below_one_step(space: FitSpace, projector: NuisanceProjector, k: int) -> bool:
-    """Return whether a loss is significantly less than one step, which no motor loses."""
+    """Return whether a loss is significantly smaller than one step, which is not possible."""
     rad_per_step = projector.states[0].context.rad_per_step
     if rad_per_step is None:
         return False

@@ -1,13 +1,13 @@
 """Separates a bias random walk from unmodelled low-frequency effects.
 
-An unmodelled effect raises the fitted noise levels, most of all flicker and random walk, and then
-seems less significant. Effects at three times the detectable size raised the flicker to ten times
+An unmodelled effect raises the fitted noise levels, mainly flicker and random walk. The effect then
+seems less significant. Effects of three times the detectable size raised the flicker to ten times
 that of a typical part, and were then five times less significant. Therefore the search uses typical
 noise levels. A cause is accepted if the likelihood rises as much with fitted levels. If the bias
-really is a random walk, the likelihood does not rise as much.
+really has a random walk, the likelihood does not rise as much.
 
-What to use when: `build_projector` for the search, `build_usual_projector` for the test of what
-remains, `whittle_log_likelihood` of a fit, `measure_bias_walk` for the excess walk.
+What to use when: `build_projector` for the search, `build_usual_projector` for the tests of the
+residual, `whittle_log_likelihood` of a fit, `measure_bias_walk` for an unusual random walk.
 """
 
 from collections.abc import Iterable, Sequence
@@ -34,7 +34,7 @@ from gyrorig_solver.estimate import (
 from gyrorig_solver.numerics import chi2_upper_tail
 
 WALK_COVARIATE = "wandering"  # the bias is a random walk
-LEVEL_TOLERANCE = 0.2  # relative: nothing hides behind levels that are an ordinary part's
+LEVEL_TOLERANCE = 0.2  # relative difference from the levels of a typical part that does not count
 
 
 def build_projector(solution: ConvergedFit, typical: bool = True) -> NuisanceProjector:
@@ -49,8 +49,8 @@ def build_projector(solution: ConvergedFit, typical: bool = True) -> NuisancePro
 def build_usual_projector(solution: ConvergedFit) -> NuisanceProjector:
     """Return the nuisance projector with the best noise levels that usual parts have.
 
-    An effect of the time that no cause explains raises the fitted levels of flicker and walk, in
-    which it then hides. Up to the levels of usual parts it cannot be told from noise.
+    An effect of the time that no cause explains raises the fitted levels of flicker and walk. It
+    then looks like noise. Below the levels of usual parts, it cannot be distinguished from noise.
     """
     return NuisanceProjector.at_fit(solution, noises=fit_usual_noises(solution))
 
@@ -73,14 +73,14 @@ def limit_to_typical(noise: NoiseModel) -> NoiseModel:
 
 
 def whittle_log_likelihood(solution: ConvergedFit) -> float:
-    """Return the Whittle log-likelihood of a fit's residual, with the levels' priors."""
+    """Return the Whittle log-likelihood of a fit's residual, with the priors of the levels."""
     return _whittle(zip(solution.spectra, solution.noises, strict=True))
 
 
 def whittle_log_evidence(solution: ConvergedFit, typical: bool = False) -> float:
-    """Return the log-likelihood minus the levels' Occam factor (Laplace's approximation).
+    """Return the log-likelihood with the Occam factor of the levels (Laplace's approximation).
 
-    A level that has to be what it is has less of its prior than one that may be anything.
+    A level that the data determine exactly uses a small part of its prior, which costs evidence.
     `typical`: the bias has at most the random walk of a typical part.
     """
     noises = [limit_to_typical(noise) if typical else noise for noise in solution.noises]
@@ -107,11 +107,11 @@ class BiasWalkTest:
 
 
 def measure_bias_walk(solution: ConvergedFit) -> BiasWalkTest:
-    """Test whether the bias has an unusual random walk, by the likelihood ratio."""
+    """Test by the likelihood ratio whether the bias has an unusual random walk."""
     gains_nats = [profile.gain_nats for profile in profile_walks(solution)]
     unusual = sum(gain > 0.0 for gain in gains_nats)
     statistic = 2.0 * sum(gains_nats)
-    # Any of the axes could have been the one: all were looked at (Bonferroni).
+    # All axes of all recordings were tested, so their number multiplies the p-value (Bonferroni).
     p_value = len(gains_nats) * chi2_upper_tail(statistic, unusual) if unusual else 1.0
     ratios = np.stack([excess_walk(noise) for noise in solution.noises]).max(axis=0)
     worst = int(np.argmax(ratios))
@@ -133,7 +133,7 @@ def measure_bias_walk(solution: ConvergedFit) -> BiasWalkTest:
 
 
 def excess_walk(noise: NoiseModel) -> FloatArray:
-    """Return the larger of flicker and walk relative to a typical part's, shape (3,)."""
+    """Return the larger ratio of flicker and walk to those of a typical part, shape (3,)."""
     typical = np.stack([nominal_levels(float(axis[0])) for axis in noise.levels])
     return np.asarray(np.sqrt(np.max(noise.levels[:, 1:3] / typical[:, 1:3], axis=1)), np.float64)
 
@@ -149,6 +149,6 @@ def _whittle(fits: Iterable[tuple[Spectrum, NoiseModel]]) -> float:
 
 
 def _prior_deviation_squared(levels: Sequence[float] | FloatArray) -> float:
-    """Return the squared distance of an axis' levels from typical ones, in prior deviations."""
+    """Return the squared distance of an axis' levels from typical levels, in prior deviations."""
     ratio = np.asarray(levels)[1:3] / nominal_levels(float(levels[0]))[1:3]
     return float(np.sum((np.log(ratio) / PRIOR_LOG_STD) ** 2))

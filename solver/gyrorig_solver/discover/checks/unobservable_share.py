@@ -1,7 +1,8 @@
-"""Takes away the names of causes that are confounded with the gain and have no observable size.
+"""Removes the names of causes that are confounded with the gain and have no observable size.
 
-A relative error of the steps equals one of the gain; only the unit's replies separate them. Such a
-name can be accepted before the others; afterwards its effect belongs to the gain.
+A relative error of the steps has the same effect as an error of the gain. Only the unit's replies
+separate the two. The search can accept such a cause before other causes; after these are fitted,
+its effect belongs to the gain.
 """
 
 import numpy as np
@@ -13,7 +14,7 @@ from gyrorig_solver.model import value_indices
 
 
 class UnobservableShareCheck:
-    """Takes away the names of causes whose share of the gain cannot be told."""
+    """Removes the names of causes whose share of the gain is not observable."""
 
     removes_names = True
 

@@ -12,7 +12,8 @@ from gyrorig_solver.numerics import chi2_upper_tail, normal_upper_tail, score_st
 
 SPEED_WAVES = 3  # half waves over the speeds
 MOVING_RAD_S = 1e-3
-MIN_RELATIVE_STRENGTH = 1e-7  # of the strongest: shapes that are sums of others add no information
+# Relative to the strongest; shapes that are sums of others add no information.
+MIN_RELATIVE_STRENGTH = 1e-7
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,16 +38,17 @@ def speed_shapes(speed_rad_s: FloatArray, fastest_rad_s: float) -> FloatArray:
 def fit_variance_trend(
     shapes: FloatArray, excess: FloatArray, two_sided: bool = False
 ) -> VarianceTrendTest:
-    """Test whether a variance grows with given shapes, by the first alone or by all together.
+    """Test whether a variance grows with given shapes: with the first, or with all together.
 
-    With w a shape less its mean and e the squares less 1, z = w e / sqrt(2 w w) is standard
-    normal in noise, a sum of many terms of variance 2; all shapes give a chi-squared
-    statistic, s' (2 W W')^-1 s with s = W e. What a model lacks adds scatter and takes none
-    away, so only z > 0 counts. The better of the two is paid for twice.
+    Let w be a shape minus its mean, and e the squares minus 1. In noise, z = w e / sqrt(2 w w) is
+    standard normal, because it is a sum of many terms with variance 2. All shapes together give the
+    chi-squared statistic s' (2 W W')^-1 s with s = W e. An effect that the model lacks increases
+    the scatter and never decreases it, so only z > 0 counts. The smaller p-value of the two tests
+    is doubled.
 
     Args:
-        shapes: (k, n), the first the sum that the others part.
-        excess: squares of a whitened residual, less 1, (n,).
+        shapes: (k, n); the first is the overall shape, and the others divide it.
+        excess: squares of a whitened residual, minus 1, (n,).
         two_sided: less scatter counts too, for example after a cause that absorbed too much.
     """
     weights = shapes - shapes.mean(axis=1, keepdims=True)

@@ -1,7 +1,7 @@
 """The likelihood of each level of a bias random walk, with flicker of any level.
 
-Parts differ in their flicker by more than a factor of ten. A random walk is unusual only if no
-flicker explains the low frequencies as well.
+The flicker of parts differs by more than a factor of ten. Therefore a random walk is unusual only
+if no level of the flicker explains the low frequencies as well.
 
 What to use when: `profile_walks` for a fit, one profile per recording and axis; `fit_usual_noises`
 for the levels of a usual part.
@@ -21,15 +21,16 @@ from gyrorig_solver.estimate import (
     unit_densities,
 )
 
-FLICKER, WALK = 1, 2  # which of a noise model's levels
-# Of the power of the L3G4200D's typical 4 mdps: parts differ by up to four times in amplitude. A
-# bias that jumps between two values for 40 s looks like flicker of six times that amplitude.
+FLICKER, WALK = 1, 2  # indices of the levels of a noise model
+# Relative to the power of the typical 4 mdps of the L3G4200D: the amplitude of a usual part is up
+# to four times larger. A bias that jumps between two values for 40 s looks like flicker of six
+# times that amplitude.
 USUAL_FLICKER_POWER_FACTOR = 16.0
-TYPICAL_POWER_FACTOR = 4.0  # times the power of a typical part's random walk
-# Of a level's logarithm from that of a typical part, either way: 400 times its amplitude.
+TYPICAL_POWER_FACTOR = 4.0  # relative to the power of a typical part's random walk
+# Range of the logarithm of a level to each side of that of a typical part: 400 times its amplitude.
 MAX_LOG_LEVEL_SHIFT = 12.0
 LEVEL_GRID_POINTS = 241  # levels of the walk in this range
-FLICKER_GRID_STEP = 4  # every fourth of them is a level of the flicker, which matters less
+FLICKER_GRID_STEP = 4  # every fourth of these is a level of the flicker, which is less critical
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -37,15 +38,15 @@ class WalkProfile:
     """The profile log-likelihood of the random walk on one axis of one recording."""
 
     log_levels: FloatArray  # (points,)
-    nats: FloatArray  # (points,), above that of the best typical walk, flicker free
+    nats: FloatArray  # (points,), minus that of the best typical walk; flicker of any level
 
     @property
     def gain_nats(self) -> float:
-        """The log-likelihood of the best level minus that of a typical part's highest."""
+        """The log-likelihood of the best level minus that of the best typical level."""
         return max(float(self.nats.max()), 0.0)
 
     def posterior_level(self) -> tuple[float, float]:
-        """Return the posterior mean of the level's root, and its standard deviation."""
+        """Return the posterior mean and standard deviation of the square root of the level."""
         deviation = (self.log_levels - self.log_levels.mean()) / PRIOR_LOG_STD
         log_posterior = self.nats - 0.5 * deviation**2
         weight = np.exp(log_posterior - log_posterior.max())
@@ -56,7 +57,7 @@ class WalkProfile:
 
 
 def profile_walks(solution: ConvergedFit) -> list[WalkProfile]:
-    """Return the profile of each axis of each recording, those of one recording together."""
+    """Return the profile of each axis of each recording, in the order of the recordings."""
     return [
         _LevelGrid.of(spectrum, noise, axis).profile_walk()
         for spectrum, noise in zip(solution.spectra, solution.noises, strict=True)

@@ -1,12 +1,12 @@
 """Whitened signals that act in short windows, many of them in one transform.
 
-Signals whose windows are far apart share one row. Whitening spreads a signal beyond its window; a
-margin on both sides keeps nearly all of it. A test of such signals is chi-squared in noise, too. On
-300 s of moves the information of a delay differs by 1e-4 from that of the exact signals, that of a
-gain by 0.6 % in the median and 12 % at most.
+Signals whose windows are far apart share one row. Whitening spreads a signal beyond its window. A
+margin on both sides contains nearly all of it. The test statistic of such signals is also
+chi-squared in noise. On 300 s of moves, the information of a delay differs by 1e-4 from that of the
+exact signals. The information of a gain differs by 0.6 % in the median and by at most 12 %.
 
-What to use when: `windowed_statistics` for a first look at hundreds of signals; the exact signals
-for those that are significant.
+What to use when: `windowed_statistics` for a first test of hundreds of signals; the exact signals
+if this test is significant.
 """
 
 from collections.abc import Callable, Iterator
@@ -20,9 +20,9 @@ from gyrorig_solver.estimate import NuisanceProjector, ScoreStatistics
 from gyrorig_solver.model import SignalState
 
 MARGIN_S = 4.0  # before and after a window
-MAX_WINDOWS = 512  # of a long recording: memory grows with the square of their number
+MAX_WINDOWS = 512  # of a long recording; memory grows with the square of their number
 
-# From the windows of a row, (w, 2) in s, and a state to the sum of their signals, (1, blocks, 3).
+# Maps the windows of a row, (w, 2) in s, and a state to the sum of their signals, (1, blocks, 3).
 WindowFunction = Callable[[FloatArray, SignalState], FloatArray]
 
 
@@ -34,7 +34,7 @@ def windowed_statistics(
     Args:
         projection: the nuisance projector at a fit.
         function: returns the sum of the signals of some windows.
-        windows_s: begin and end of each window, shape (k, 2).
+        windows_s: start and end of each window, shape (k, 2).
     """
     row_of_window = _assign_rows(windows_s)
     rows = [np.flatnonzero(row_of_window == row) for row in range(int(row_of_window.max()) + 1)]
@@ -65,7 +65,7 @@ def windowed_statistics(
 
 
 def group_windows(windows_s: FloatArray) -> FloatArray:
-    """Return the windows of groups of consecutive ones, (k, 2); each of them, if they are few."""
+    """Return one window per group of consecutive windows, (k, 2); all windows if they are few."""
     size = -(-len(windows_s) // MAX_WINDOWS)
     if size <= 1:
         return windows_s
@@ -88,7 +88,7 @@ def _assign_rows(windows_s: FloatArray) -> IntArray:
 
 
 def _channel_states(projection: NuisanceProjector) -> Iterator[tuple[SignalState, int]]:
-    """Yield the state of each channel, and the index of its first value among all."""
+    """Yield the state of each channel, and the index of its first value in the residual."""
     first = 0
     for state in projection.states:
         for _ in range(3):
