@@ -1,6 +1,6 @@
-"""Both programs' commands, as their own code has them: for the manual's pages and the site.
+"""Descriptions of the commands of both programs, from their code, for the manual and the site.
 
-What to use when: `PROGRAMS` to walk through, `described` for one command's words and options.
+What to use when: `PROGRAMS` for both programs, `describe_commands` for the commands of one.
 """
 
 from collections.abc import Iterator
@@ -26,7 +26,7 @@ EXIT_CODES = (
 
 @dataclass(frozen=True, slots=True)
 class CommandDescription:
-    """One command: how it is called, what it does, examples, options with their help."""
+    """One command: its usage, purpose, examples, and options with their help."""
 
     name: str  # "gyrorig store verify"
     usage: str
@@ -35,29 +35,31 @@ class CommandDescription:
     options: tuple[tuple[str, str], ...]
 
 
-def described(program: str) -> Iterator[CommandDescription]:
-    """Yield a program's commands, groups of commands before what is in them."""
-    yield from _walk(program, PROGRAMS[program], None)
+def describe_commands(program: str) -> Iterator[CommandDescription]:
+    """Yield the commands of a program, each group before its commands."""
+    yield from _describe_tree(program, PROGRAMS[program], None)
 
 
-def _walk(
+def _describe_tree(
     name: str, command: click.Command, parent: click.Context | None
 ) -> Iterator[CommandDescription]:
-    # as narrow as a page, whatever terminal this runs in
+    # The width does not depend on the terminal.
     context = click.Context(
         command, info_name=name.rsplit(maxsplit=1)[-1], parent=parent, terminal_width=200
     )
     if parent is not None:
-        yield _described(name, command, context)
+        yield _describe_command(name, command, context)
     if isinstance(command, click.Group):
         for inner in command.list_commands(context):
             subcommand = command.get_command(context, inner)
             if subcommand is not None and not subcommand.hidden:
-                yield from _walk(f"{name} {inner}", subcommand, context)
+                yield from _describe_tree(f"{name} {inner}", subcommand, context)
 
 
-def _described(name: str, command: click.Command, context: click.Context) -> CommandDescription:
-    paragraphs, examples = _help_of(command.help or "")
+def _describe_command(
+    name: str, command: click.Command, context: click.Context
+) -> CommandDescription:
+    paragraphs, examples = _split_help(command.help or "")
     options = []
     for parameter in command.get_params(context):
         record = parameter.get_help_record(context)
@@ -67,8 +69,8 @@ def _described(name: str, command: click.Command, context: click.Context) -> Com
     return CommandDescription(name, usage, paragraphs, examples, tuple(options))
 
 
-def _help_of(text: str) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Part a docstring into its paragraphs and the command lines of its examples."""
+def _split_help(text: str) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Split a docstring into its paragraphs and the command lines of its examples."""
     paragraphs: list[str] = []
     examples: list[str] = []
     for block in text.replace("\b\n", "").replace("\\b\n", "").split("\n\n"):

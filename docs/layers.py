@@ -1,7 +1,7 @@
 """Draw the layers of the three packages from their imports: `python -m docs.layers`.
 
-The rows are the layers of the import contracts in pyproject.toml; the arrows are the imports
-that the code really has. A test compares docs/img/layers.svg with what this module draws.
+The rows are the layers of the import contracts in pyproject.toml. The arrows are the imports in
+the code. A test compares docs/img/layers.svg with the drawing of this module.
 """
 
 import tomllib
@@ -42,7 +42,7 @@ class Box:
         return self.x + BOX_WIDTH / 2, self.y + BOX_HEIGHT
 
 
-def layer_rows(package: str) -> list[list[str]]:
+def read_layer_rows(package: str) -> list[list[str]]:
     """Return the layers of a package from its contract, the highest first."""
     contracts = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
     for contract in contracts["tool"]["importlinter"]["contracts"]:
@@ -54,13 +54,13 @@ def layer_rows(package: str) -> list[list[str]]:
     raise KeyError(f"pyproject.toml has no layers contract for {package}")
 
 
-def lay_out() -> tuple[list[Box], float, float]:
-    """Place the boxes: daemon and solver side by side, the protocol below both."""
+def place_boxes() -> tuple[list[Box], float, float]:
+    """Return the boxes, the width and the height: daemon next to solver, protocol below both."""
     boxes: list[Box] = []
     left, deepest = float(MARGIN), 0.0
     width: float
     for package in ("gyrorig_daemon", "gyrorig_solver"):
-        rows = layer_rows(package)
+        rows = read_layer_rows(package)
         width = float(max(len(row) for row in rows) * (BOX_WIDTH + GAP_X) - GAP_X)
         for depth, row in enumerate(rows):
             y = MARGIN + 24 + depth * (BOX_HEIGHT + GAP_Y)
@@ -72,7 +72,7 @@ def lay_out() -> tuple[list[Box], float, float]:
         left += width + 3 * GAP_X
     width = left - 3 * GAP_X + MARGIN
     first_row = deepest + BOX_HEIGHT + 2 * GAP_Y
-    rows = layer_rows("gyrorig_protocol")
+    rows = read_layer_rows("gyrorig_protocol")
     for depth, row in enumerate(rows):
         start = (width - (len(row) * (BOX_WIDTH + GAP_X) - GAP_X)) / 2
         for column, name in enumerate(row):
@@ -82,8 +82,8 @@ def lay_out() -> tuple[list[Box], float, float]:
     return boxes, width, height
 
 
-def imports_between(boxes: list[Box]) -> Iterator[tuple[Box, Box]]:
-    """Yield the imports inside each package, box by box."""
+def find_imports(boxes: list[Box]) -> Iterator[tuple[Box, Box]]:
+    """Yield importer and imported box of each import inside a package."""
     graph = grimp.build_graph(*PACKAGES, cache_dir=None)
     for importer in boxes:
         package = importer.name.split(".")[0]
@@ -96,16 +96,16 @@ def imports_between(boxes: list[Box]) -> Iterator[tuple[Box, Box]]:
                 yield importer, imported
 
 
-def draw() -> str:
+def draw_layers() -> str:
     """Return the drawing as SVG text."""
-    boxes, width, height = lay_out()
+    boxes, width, height = place_boxes()
     out = [
         f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width:g} {height:g}" '
         'font-family="system-ui, sans-serif" font-size="11">',
         "<title>Layers of the three packages and the imports between them</title>",
         '<rect width="100%" height="100%" fill="#ffffff"/>',
     ]
-    for importer, imported in imports_between(boxes):
+    for importer, imported in find_imports(boxes):
         (x1, y1), (x2, y2) = importer.bottom, imported.top
         out.append(
             f'<path d="M{x1:g} {y1:g} C{x1:g} {y1 + 18:g} {x2:g} {y2 - 18:g} {x2:g} {y2:g}" '
@@ -129,5 +129,5 @@ def draw() -> str:
 
 
 if __name__ == "__main__":
-    PICTURE.write_text(draw(), encoding="utf-8")
+    PICTURE.write_text(draw_layers(), encoding="utf-8")
     print(PICTURE.relative_to(ROOT))

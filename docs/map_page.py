@@ -1,6 +1,7 @@
-"""The page of all keys of an import map, made from the structures that define them.
+"""Page of all keys of an import map, from the structures that define the keys.
 
-What to use when: `import_map_page` is the page; `key_meanings` are the meanings of one structure.
+What to use when: `make_import_map_page` for the page, `read_key_meanings` for the keys of one
+structure.
 """
 
 import inspect
@@ -29,23 +30,25 @@ examples.
 """
 
 
-def import_map_page() -> str:
-    """Every key of an import map, with its meaning."""
-    out = [HEAD]
-    known: list[Any] = [ImportMap]
-    for struct in known:  # grows while it is read
-        out += ["", f"## {struct.__name__}", "", _escape(_summary(struct)), ""]
-        out += ["| key | type | default | meaning |", "|---|---|---|---|"]
-        meanings = key_meanings(struct)
+def make_import_map_page() -> str:
+    """Return the page with every key of an import map and its meaning."""
+    lines = [HEAD]
+    structs: list[Any] = [ImportMap]
+    for struct in structs:  # the loop appends to this list
+        lines += ["", f"## {struct.__name__}", "", _escape(_read_summary(struct)), ""]
+        lines += ["| key | type | default | meaning |", "|---|---|---|---|"]
+        meanings = read_key_meanings(struct)
         for field in msgspec.structs.fields(struct):
             name = field.encode_name
-            default = "required" if field.required else _default(field.default)
+            default = "required" if field.required else _format_default(field.default)
             meaning = _escape(meanings[name])
-            out.append(f"| `{name}` | {_type_words(field.type, known)} | {default} | {meaning} |")
-    return "\n".join([*out, ""])
+            lines.append(
+                f"| `{name}` | {_describe_type(field.type, structs)} | {default} | {meaning} |"
+            )
+    return "\n".join([*lines, ""])
 
 
-def key_meanings(struct: Any) -> dict[str, str]:
+def read_key_meanings(struct: Any) -> dict[str, str]:
     """Return the meaning of each key, from the section "Keys" of a docstring."""
     _, _, section = (inspect.getdoc(struct) or "").partition("Keys:\n")
     meanings: dict[str, str] = {}
@@ -60,34 +63,34 @@ def key_meanings(struct: Any) -> dict[str, str]:
     return meanings
 
 
-def _summary(struct: Any) -> str:
+def _read_summary(struct: Any) -> str:
     return (inspect.getdoc(struct) or "").partition("Keys:\n")[0].strip()
 
 
-def _type_words(kind: Any, known: list[Any]) -> str:
-    """Return a type in words; may append a structure to `known`."""
+def _describe_type(kind: Any, structs: list[Any]) -> str:
+    """Return a type in words, and append a new structure to `structs`."""
     origin, inner = get_origin(kind), get_args(kind)
     if origin in (Union, UnionType):
-        return " or ".join(_type_words(part, known) for part in inner if part is not NoneType)
+        return " or ".join(_describe_type(part, structs) for part in inner if part is not NoneType)
     if origin is Literal:
         return ", ".join(f"`{value}`" for value in inner)
     if origin in (Annotated, list, dict):
         words = {Annotated: "", list: "list of ", dict: "names with "}[origin]
-        return words + _type_words(inner[origin is dict], known)
+        return words + _describe_type(inner[origin is dict], structs)
     if isinstance(kind, type) and issubclass(kind, msgspec.Struct):
-        if kind not in known:
-            known.append(kind)
+        if kind not in structs:
+            structs.append(kind)
         return f"[{kind.__name__}](#{kind.__name__.lower()})"
     return {str: "text", int: "whole number", float: "number"}[kind]
 
 
-def _default(value: Any) -> str:
+def _format_default(value: Any) -> str:
     is_plain = isinstance(value, str | int | float)
     return f"`{value}`" if is_plain else ""
 
 
 def _escape(text: str) -> str:
-    """Keep what Markdown would swallow, outside of code."""
+    """Escape the characters that Markdown would interpret, outside of code."""
     parts = " ".join(text.split()).split("`")
     for at in range(0, len(parts), 2):
         parts[at] = re.sub(r"([<>*_|])", r"\\\1", parts[at])

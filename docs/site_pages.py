@@ -1,6 +1,6 @@
-"""The reference as the code has it: commands, documents, catalogue, sensors, Python.
+"""Generated pages of the reference: commands, documents, catalogue, sensors, Python.
 
-What to use when: `PAGES`, name of the page -> function that makes its Markdown.
+What to use when: `PAGES` maps the name of each page to the function that makes its Markdown.
 """
 
 import inspect
@@ -12,8 +12,8 @@ from types import MappingProxyType
 from typing import Any
 
 import msgspec
-from docs.commands import EXIT_CODES, PROGRAMS, described
-from docs.map_page import import_map_page
+from docs.commands import EXIT_CODES, PROGRAMS, describe_commands
+from docs.map_page import make_import_map_page
 
 from gyrorig_daemon.emulator.injection import CAUSES
 from gyrorig_protocol.profile import SensorProfile, parse_profile
@@ -21,7 +21,7 @@ from gyrorig_protocol.recording.encoding.message_schemas import SCHEMAS, SEPARAT
 from gyrorig_solver.model.catalogue import catalogue
 
 ROOT = Path(__file__).resolve().parents[1]
-# documents: title, module, the structure at the top of it
+# documents: title, module, top structure
 DOCUMENTS = (
     (
         "Calibration, `gyrorig/calibration/1`",
@@ -46,7 +46,7 @@ DOCUMENTS = (
     ("Rig, `gyrorig/rig/1`", "gyrorig_daemon.config.rig_document", "RigConfig"),
     ("Twin, `gyrorig/twin/1`, in a rig", "gyrorig_protocol.twin.twin_document", "Twin"),
 )
-# What a program may rely on: module and names.
+# Public interface for Python programs: module and names.
 PYTHON = (
     ("gyrorig_solver.apply.board_calibration", ("Calibration",)),
     ("gyrorig_protocol.recording.reader", ("read_recording", "read_recording_metadata")),
@@ -66,18 +66,21 @@ PYTHON = (
 
 
 def commands() -> str:
-    """Both programs with all their commands."""
+    """Return the page of all commands of both programs."""
     out = ["# Commands", "", "Made of the programs' own help.", "", "## Exit codes", ""]
     out += ["| code | means |", "|---|---|", *(f"| {code} | {text} |" for code, text in EXIT_CODES)]
     for program in PROGRAMS:
         out += ["", f"## {program}", ""]
-        for command in described(program):
+        for command in describe_commands(program):
             out += [f"### `{command.name}`", "", "```text", command.usage, "```", ""]
             for paragraph in command.paragraphs:
-                out += [_text(paragraph), ""]
+                out += [_escape(paragraph), ""]
             if command.options:
                 out += ["| option | |", "|---|---|"]
-                out += [f"| `{_cell(o)}` | {_cell(_text(t))} |" for o, t in command.options]
+                out += [
+                    f"| `{_escape_cell(o)}` | {_escape_cell(_escape(t))} |"
+                    for o, t in command.options
+                ]
                 out.append("")
             if command.examples:
                 out += ["```sh", *command.examples, "```", ""]
@@ -85,7 +88,7 @@ def commands() -> str:
 
 
 def causes() -> str:
-    """The catalogue, with what an emulated rig can hide of it."""
+    """Return the page of all causes, with those that an emulated rig can hide."""
     out = [
         "# Catalogue of causes",
         "",
@@ -104,9 +107,9 @@ def causes() -> str:
     for name, term in known.items():
         out += ["", f"## {name}", "", f"Part: {term.part}. Scope: {term.scope}.", ""]
         out += [f"Equation: `{term.equation}`.", ""]
-        out += [f"Motion or data that show this cause: {_text(term.excitation)}.", ""]
+        out += [f"Motion or data that show this cause: {_escape(term.excitation)}.", ""]
         out.append(
-            f"Effect on a calibration that ignores this cause: {_text(term.effect_if_ignored)}."
+            f"Effect on a calibration that ignores this cause: {_escape(term.effect_if_ignored)}."
         )
         if term.confused_with:
             out += ["", f"Looks like, under some programs: {', '.join(term.confused_with)}."]
@@ -124,13 +127,13 @@ def causes() -> str:
             ]
         hidden = CAUSES.get(name)
         if hidden is not None:
-            out += ["", f"Hidden by the emulator: {_text(hidden.size_meaning)}, "
+            out += ["", f"Hidden by the emulator: {_escape(hidden.size_meaning)}, "
                     f"in {hidden.unit if hidden.unit != '1' else 'parts'}."]  # fmt: skip
     return "\n".join([*out, ""])
 
 
 def sensors() -> str:
-    """The profiles in config/boards."""
+    """Return the page of the profiles in config/boards."""
     profiles = [
         parse_profile(path.read_bytes(), path.name)
         for path in sorted(
@@ -149,20 +152,21 @@ def sensors() -> str:
     for profile in profiles:
         ranges = ", ".join(f"{r.full_scale_dps:g}" for r in profile.ranges)
         out.append(
-            f"| [{profile.sensor}](#{_anchor(profile.sensor)}) | {ranges} | "
-            f"{_or(profile.noise_density_dps_rthz)} | ±{_or(profile.zero_rate_dps)} | "
-            f"{_or(profile.zero_rate_per_kelvin_dps)} | "
-            f"{_percent(profile.scale_tolerance)} | {_percent(profile.cross_axis)} |"
+            f"| [{profile.sensor}](#{_make_anchor(profile.sensor)}) | {ranges} | "
+            f"{_format_number(profile.noise_density_dps_rthz)} | "
+            f"±{_format_number(profile.zero_rate_dps)} | "
+            f"{_format_number(profile.zero_rate_per_kelvin_dps)} | "
+            f"{_format_percent(profile.scale_tolerance)} | {_format_percent(profile.cross_axis)} |"
         )
     for profile in profiles:
-        out += ["", f"## {profile.sensor}", "", f"{_text(profile.source)}.", ""]
+        out += ["", f"## {profile.sensor}", "", f"{_escape(profile.source)}.", ""]
         out += ["| range, deg/s | mdps/count |", "|---|---|"]
         out += [f"| {r.full_scale_dps:g} | {r.sensitivity_mdps:.6g} |" for r in profile.ranges]
-        out += [""] + [f"- {text}" for text in _further(profile)]
+        out += [""] + [f"- {text}" for text in _list_other_figures(profile)]
     return "\n".join([*out, ""])
 
 
-def _further(profile: SensorProfile) -> Iterator[str]:
+def _list_other_figures(profile: SensorProfile) -> Iterator[str]:
     for entry in profile.low_pass:
         widths = ", ".join(f"{hz:g}" for hz in entry.bandwidth_hz)
         yield f"low-pass at {entry.odr_hz:g} Hz: {widths} Hz"
@@ -179,7 +183,7 @@ def _further(profile: SensorProfile) -> Iterator[str]:
 
 
 def formats() -> str:
-    """Every document's fields and every message's definition."""
+    """Return the page of the fields of all documents and the definitions of all messages."""
     out = [
         "# Documents and messages",
         "",
@@ -189,24 +193,25 @@ def formats() -> str:
         kind = getattr(import_module(module), top, None)
         if kind is None:
             raise LookupError(f"{module} has no {top}")
-        out += ["", f"## {title}", "", _text(inspect.getdoc(kind) or "")]
-        described: set[Any] = set()
-        waiting = [kind]
-        while waiting:
-            struct = waiting.pop(0)
-            if struct in described:
+        out += ["", f"## {title}", "", _escape(inspect.getdoc(kind) or "")]
+        described_structs: set[Any] = set()
+        open_structs = [kind]
+        while open_structs:
+            struct = open_structs.pop(0)
+            if struct in described_structs:
                 continue
-            described.add(struct)
+            described_structs.add(struct)
             if struct is not kind:
                 anchor = f"{top.lower()}-{struct.__name__.lower()}"
                 summary = (inspect.getdoc(struct) or "").split("\n\n")[0]
-                out += ["", f"### {struct.__name__} {{ #{anchor} }}", "", _text(summary)]
+                out += ["", f"### {struct.__name__} {{ #{anchor} }}", "", _escape(summary)]
             out += ["", "| key | type | default |", "|---|---|---|"]
             for field in msgspec.structs.fields(struct):
                 out.append(
-                    f"| {field.encode_name} | {_cell(_kind(field.type))} | {_default(field)} |"
+                    f"| {field.encode_name} | {_escape_cell(_format_type(field.type))} "
+                    f"| {_format_default(field)} |"
                 )
-                waiting += _structs(field.type)
+                open_structs += _find_structs(field.type)
     out += ["", "## Messages of a recording", ""]
     out.append("MCAP, profile `ros2`, encoding `cdr`; `gyrorig_msgs` beside ROS 2's own types.")
     for name, text in SCHEMAS.items():
@@ -215,7 +220,7 @@ def formats() -> str:
 
 
 def python() -> str:
-    """What a program may import."""
+    """Return the page of the public Python interface."""
     out = [
         "# Python",
         "",
@@ -225,26 +230,26 @@ def python() -> str:
     ]
     for module_name, names in PYTHON:
         module = import_module(module_name)
-        out += [f"## {module_name}", "", _doc(inspect.getdoc(module) or ""), ""]
+        out += [f"## {module_name}", "", _convert_docstring(inspect.getdoc(module) or ""), ""]
         for name in names:
             member = getattr(module, name)
             out += [f"### {name} {{ #{module_name.replace('.', '-')}-{name.lower()} }}", ""]
             out += [
                 "```python",
-                _signature(name, member),
+                _format_signature(name, member),
                 "```",
                 "",
-                _doc(inspect.getdoc(member) or ""),
+                _convert_docstring(inspect.getdoc(member) or ""),
                 "",
             ]
             if inspect.isclass(member):
-                for inner_name, value in _members(member):
-                    out += ["```python", _signature(inner_name, value), "```", "",
-                            _doc(inspect.getdoc(value) or ""), ""]  # fmt: skip
+                for inner_name, value in _list_members(member):
+                    out += ["```python", _format_signature(inner_name, value), "```", "",
+                            _convert_docstring(inspect.getdoc(value) or ""), ""]  # fmt: skip
     return "\n".join(out)
 
 
-def _members(kind: type) -> Iterator[tuple[str, Any]]:
+def _list_members(kind: type) -> Iterator[tuple[str, Any]]:
     for name, value in vars(kind).items():
         if name.startswith("_"):
             continue
@@ -254,10 +259,10 @@ def _members(kind: type) -> Iterator[tuple[str, Any]]:
             yield name, value
 
 
-def _signature(name: str, member: Any) -> str:
+def _format_signature(name: str, member: Any) -> str:
     if isinstance(member, property):
-        answer = inspect.signature(member.fget).return_annotation if member.fget else "Any"
-        return f"{name}: {_annotation(answer)}"
+        annotation = inspect.signature(member.fget).return_annotation if member.fget else "Any"
+        return f"{name}: {_format_annotation(annotation)}"
     try:
         text = str(inspect.signature(member))
     except (TypeError, ValueError):
@@ -270,7 +275,7 @@ def _signature(name: str, member: Any) -> str:
     )
 
 
-def _annotation(annotation: Any) -> str:
+def _format_annotation(annotation: Any) -> str:
     return (
         annotation
         if isinstance(annotation, str)
@@ -278,12 +283,12 @@ def _annotation(annotation: Any) -> str:
     )
 
 
-def _doc(text: str) -> str:
-    """Turn a Google docstring's sections into Markdown."""
+def _convert_docstring(text: str) -> str:
+    """Convert a docstring in Google style to Markdown."""
     out: list[str] = []
     section = in_code = False
     for line in text.splitlines():
-        # indented and in no section: an example
+        # An indented line outside a section is an example.
         if not section and (line.startswith("    ") or (in_code and not line.strip())):
             if not in_code:
                 out.append("```python")
@@ -301,36 +306,38 @@ def _doc(text: str) -> str:
             out += ["", f"**{heading[1]}**", ""]
         elif section and re.match(r"    \S", line):
             item = re.match(r"    (\*{0,2}\w[\w, *]*): (.*)", line)
-            out.append(f"- `{item[1]}`: {_text(item[2])}" if item else f"- {_text(line.strip())}")
+            out.append(
+                f"- `{item[1]}`: {_escape(item[2])}" if item else f"- {_escape(line.strip())}"
+            )
         elif section and line.startswith("        "):
-            out[-1] += f" {_text(line.strip())}"
+            out[-1] += f" {_escape(line.strip())}"
         else:
             section = section and not line.strip()
-            out.append(_text(line.strip()))
+            out.append(_escape(line.strip()))
     return "\n".join([*out, "```"] if in_code else out)
 
 
-def _text(text: str) -> str:
-    """Keep what Markdown or HTML would swallow."""
+def _escape(text: str) -> str:
+    """Escape the characters that Markdown or HTML would interpret, outside of code."""
     parts = text.split("`")
     for k in range(0, len(parts), 2):
         parts[k] = re.sub(r"([<>*_\[\]|])", r"\\\1", parts[k])
     return "`".join(parts)
 
 
-def _cell(text: str) -> str:
+def _escape_cell(text: str) -> str:
     return re.sub(r"(?<!\\)\|", r"\\|", text)
 
 
-def _kind(kind: Any) -> str:
+def _format_type(kind: Any) -> str:
     text = kind.__name__ if inspect.isclass(kind) else str(kind)
     text = re.sub(r", Meta\((.*?)\)\]", "]", re.sub(r"msgspec\.", "", text))
-    for _ in range(3):  # one in another
+    for _ in range(3):  # nested annotations
         text = re.sub(r"(?:typing\.)?Annotated\[(\w+(?:\[[^\[\]]*\])?)\]", r"\1", text)
-    return _text(re.sub(r"(?:typing|gyrorig_\w+(?:\.\w+)*)\.|<class '|'>", "", text))
+    return _escape(re.sub(r"(?:typing|gyrorig_\w+(?:\.\w+)*)\.|<class '|'>", "", text))
 
 
-def _default(field: Any) -> str:
+def _format_default(field: Any) -> str:
     if field.required:
         return "required"
     if field.default is msgspec.NODEFAULT:
@@ -338,29 +345,29 @@ def _default(field: Any) -> str:
     value = field.default
     if isinstance(value, msgspec.Struct):
         return "made"
-    return "" if value is None else f"`{_cell(repr(value))}`"
+    return "" if value is None else f"`{_escape_cell(repr(value))}`"
 
 
-def _structs(kind: Any) -> list[Any]:
+def _find_structs(kind: Any) -> list[Any]:
     if inspect.isclass(kind) and issubclass(kind, msgspec.Struct):
         return [kind]
-    return [struct for inner in getattr(kind, "__args__", ()) for struct in _structs(inner)]
+    return [struct for inner in getattr(kind, "__args__", ()) for struct in _find_structs(inner)]
 
 
-def _anchor(text: str) -> str:
+def _make_anchor(text: str) -> str:
     return re.sub(r"[^a-z0-9-]", "", text.lower())
 
 
-def _or(value: float | None) -> str:
+def _format_number(value: float | None) -> str:
     return "" if value is None else f"{value:g}"
 
 
-def _percent(value: float | None) -> str:
+def _format_percent(value: float | None) -> str:
     return "" if value is None else f"±{100 * value:g} %"
 
 
 def decisions() -> str:
-    """Every decision by its title."""
+    """Return the page with the titles of all decisions."""
     out = [
         "# Decisions",
         "",
@@ -369,7 +376,7 @@ def decisions() -> str:
     ]
     for record in sorted((ROOT / "docs" / "decisions").glob("[0-9]*.md")):
         title = record.read_text(encoding="utf-8").splitlines()[0].lstrip("# ")
-        out.append(f"- [{_text(title)}]({record.name})")
+        out.append(f"- [{_escape(title)}]({record.name})")
     return "\n".join([*out, ""])
 
 
@@ -379,7 +386,7 @@ PAGES: Mapping[str, Callable[[], str]] = MappingProxyType(
         "reference/catalogue.md": causes,
         "reference/sensors.md": sensors,
         "reference/formats.md": formats,
-        "reference/import-map.md": import_map_page,
+        "reference/import-map.md": make_import_map_page,
         "reference/python.md": python,
         "decisions/index.md": decisions,
     }

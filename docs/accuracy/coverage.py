@@ -1,4 +1,4 @@
-"""The table of coverage per program and parameter, from the results of bench_coverage.py."""
+"""Tables of coverage per program and parameter, from the results of bench_coverage.py."""
 
 import json
 import sys
@@ -15,19 +15,22 @@ RESULTS = Path(__file__).resolve().parent / "coverage.json"
 
 
 @cache
-def results() -> dict[str, Any]:
+def read_results() -> dict[str, Any]:
     """Return the latest results of the benchmark by program; the shortest program first."""
     programs: dict[str, Any] = json.loads(RESULTS.read_text(encoding="utf-8"))
     return dict(sorted(programs.items(), key=lambda item: float(item[1]["duration_s"])))
 
 
 def coverage() -> str:
-    """Coverage of the 95 % intervals of each parameter under each program, in per cent."""
-    programs = results()
+    """Return the coverage of 95 % intervals, in percent, per parameter and program."""
+    programs = read_results()
     rows = [
         (
             "`time_offset` without the constant" if name == APART else f"`{name}`",
-            *(_cell(program["parameters"][name], program["runs"]) for program in programs.values()),
+            *(
+                _format_cell(program["parameters"][name], program["runs"])
+                for program in programs.values()
+            ),
         )
         for name in ALL_NAMES
     ]
@@ -41,7 +44,7 @@ def coverage() -> str:
     return table(head, rows)
 
 
-def _cell(figures: dict[str, Any], runs: int) -> str:
+def _format_cell(figures: dict[str, Any], runs: int) -> str:
     if "value" not in figures:
         return "null"
     value, low, high = (100.0 * figures[key] for key in ("value", "low", "high"))
@@ -52,8 +55,8 @@ def _cell(figures: dict[str, Any], runs: int) -> str:
 
 
 def misses() -> str:
-    """Number of coverages that meet the goal, and table of the others."""
-    rows = list(coverage_rows(results()))
+    """Return the number of coverages that meet the goal, and the table of the others."""
+    rows = list(coverage_rows(read_results()))
     missed = [row for row in rows if row.verdict != "yes"]
     beyond = sum(row.verdict == "NO" for row in missed)
     text = (

@@ -1,4 +1,4 @@
-"""The table of coverage with noise in motion, from the results of bench_motor_noise.py."""
+"""Table of coverage with noise in motion, from the results of bench_motor_noise.py."""
 
 import json
 import sys
@@ -13,14 +13,14 @@ RESULTS = Path(__file__).resolve().parent / "motor_noise.json"
 
 
 def coverage() -> str:
-    """Coverage of 95 % intervals, for all parameters and for the lowest and highest."""
+    """Return the coverage of 95 % intervals: all parameters, the lowest and the highest."""
     results: dict[str, Any] = json.loads(RESULTS.read_text(encoding="utf-8"))
     rows = []
     for case in results["cases"]:
         pooled = case["cover_95"]
         # The constant of the replies is uniform: see the section about the time offset.
-        named = {name: share for name, share in case["parameters"].items() if "." in name}
-        lowest, highest = (choose(named, key=lambda name: named[name]) for choose in (min, max))
+        of_axes = {name: share for name, share in case["parameters"].items() if "." in name}
+        lowest, highest = (choose(of_axes, key=lambda name: of_axes[name]) for choose in (min, max))
         rows.append(
             (
                 case["reference"],
@@ -28,8 +28,8 @@ def coverage() -> str:
                 str(case["runs"]),
                 f"{100 * pooled['value']:.1f} %",
                 f"{100 * pooled['low']:.1f} to {100 * pooled['high']:.1f} %",
-                f"{100 * named[lowest]:.1f} %, `{lowest}`",
-                f"{100 * named[highest]:.1f} %, `{highest}`",
+                f"{100 * of_axes[lowest]:.1f} %, `{lowest}`",
+                f"{100 * of_axes[highest]:.1f} %, `{highest}`",
                 f"{case['noise_ratio']:.2f}",
                 f"{100 * case['found']:.0f} %",
                 f"{100 * case['widened']:.0f} %",

@@ -1,4 +1,4 @@
-"""The tables of speed and growth, from the results of bench_solve.py and bench_growth.py."""
+"""Tables of speed and growth, from the results of bench_solve.py and bench_growth.py."""
 
 import json
 import sys
@@ -12,22 +12,22 @@ from docs.markdown import Block, show, table
 HERE = Path(__file__).resolve().parent
 
 
-def _read(name: str) -> dict[str, Any]:
+def _read_json(name: str) -> dict[str, Any]:
     measurement: dict[str, Any] = json.loads((HERE / name).read_text(encoding="utf-8"))
     return measurement
 
 
 def steps() -> str:
-    """Processor time of each step for a board of 75 s at 800 Hz."""
-    measurement = _read("speed.json")
+    """Return the processor time of each step for a board of 75 s at 800 Hz."""
+    measurement = _read_json("speed.json")
     rows = [(step, f"{value:.1f}") for step, value in measurement["ms"].items()]
     rows.append(("all steps", f"{measurement['total_ms']:.1f}"))
     return table(["step", "processor time, ms"], rows)
 
 
 def boards() -> str:
-    """Boards per second and core, compared with two other solvers."""
-    measurement = _read("speed.json")
+    """Return the boards per second and core, compared with two other solvers."""
+    measurement = _read_json("speed.json")
     lines = [
         f"The recording has {measurement['samples']} samples. The solver processes "
         f"{measurement['boards_s']:.1f} boards per second on one core. The goal for this speed "
@@ -49,8 +49,8 @@ def boards() -> str:
 
 
 def growth() -> str:
-    """Time and memory over the length of a recording."""
-    measurement = _read("growth.json")
+    """Return time and memory for recordings of several lengths."""
+    measurement = _read_json("growth.json")
     rows = []
     for row in measurement["rows"]:
         minutes = row["seconds"] / 60.0

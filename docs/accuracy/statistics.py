@@ -1,4 +1,4 @@
-"""The tables of simulated runs and the bound, from the results of bench_accuracy.py."""
+"""Tables of simulated runs and the bound, from the results of bench_accuracy.py."""
 
 import json
 import sys
@@ -27,38 +27,38 @@ RESULTS = Path(__file__).resolve().parent / "results.json"
 
 
 @cache
-def results() -> dict[str, Any]:
+def read_results() -> dict[str, Any]:
     """Return the latest results of the benchmark."""
     document: dict[str, Any] = json.loads(RESULTS.read_text(encoding="utf-8"))
     return document
 
 
-def _cases() -> list[tuple[Case, dict[str, Any]]]:
-    """Return the cases without spikes that were run."""
-    by_case = results()["cases"]
+def _read_cases() -> list[tuple[Case, dict[str, Any]]]:
+    """Return the cases without spikes that have results."""
+    by_case = read_results()["cases"]
     return [
         (case, by_case[case.name]) for case in CASES if case.name in by_case and not case.spikes
     ]
 
 
-def _span(figure: dict[str, float], digits: int = 2) -> str:
+def _format_interval(figure: dict[str, float], digits: int = 2) -> str:
     return (
         f"{figure['value']:.{digits}f} ({figure['low']:.{digits}f} to {figure['high']:.{digits}f})"
     )
 
 
 def cases() -> str:
-    """Table of the simulated cases."""
+    """Return the table of the simulated cases."""
     rows = [
         (
             case.name,
             f"`{case.program}`, {result['duration_s']:.0f} s",
             f"{case.rate_hz:.0f} Hz, {case.bandwidth_hz:.0f} Hz",
-            _reference(case),
+            _describe_reference(case),
             str(result["runs"]),
             str(result["failed"]),
         )
-        for case, result in _cases()
+        for case, result in _read_cases()
     ]
     return table(
         (
@@ -73,16 +73,16 @@ def cases() -> str:
     )
 
 
-def _reference(case: Case) -> str:
+def _describe_reference(case: Case) -> str:
     if case.baud is None:
         return "known exactly"
-    asked = "BT with counter" if case.counter else "PP and TP alternately"
-    return f"{asked}, {case.baud:.0f} baud"
+    replies = "BT with counter" if case.counter else "PP and TP alternately"
+    return f"{replies}, {case.baud:.0f} baud"
 
 
 def efficiencies() -> str:
-    """Efficiency of every parameter in every case, on the best estimate's noise."""
-    by_case = _cases()
+    """Return the efficiency of every parameter and case, with the noise of the best estimate."""
+    by_case = _read_cases()
     rows = []
     for name in NAMES:
         cells = [f"{result['parameters'][name]['paired']['value']:.3f}" for _, result in by_case]
@@ -91,19 +91,20 @@ def efficiencies() -> str:
 
 
 def goals() -> str:
-    """For each case the worst parameter, the intervals, and the joint chi-squared."""
+    """Return for each case the worst parameter, the coverage, and the joint chi-squared."""
     rows = []
-    for case, result in _cases():
+    for case, result in _read_cases():
         goal = KNOWN_EFFICIENCY if case.baud is None else ANSWERS_EFFICIENCY
-        named = {name: result["parameters"][name]["paired"] for name in NAMES if "." in name}
-        worst = min(named, key=lambda name: float(named[name]["value"]))
+        of_axes = {name: result["parameters"][name]["paired"] for name in NAMES if "." in name}
+        worst = min(of_axes, key=lambda name: float(of_axes[name]["value"]))
         rows.append(
             (
                 case.name,
-                f"{_span(named[worst])}, `{worst}`; ≥ {goal:.2f}",
+                f"{_format_interval(of_axes[worst])}, `{worst}`; ≥ {goal:.2f}",
                 f"{100 * result['together']['cover_68']['value']:.1f} %",
                 f"{100 * result['together']['cover_95']['value']:.1f} %",
-                f"{_span(result['chi2']['mean'], 1)}; {result['chi2']['best_mean']['value']:.1f}",
+                f"{_format_interval(result['chi2']['mean'], 1)}; "
+                f"{result['chi2']['best_mean']['value']:.1f}",
                 f"{result['chi2']['p_value']:.2f}",
             )
         )
@@ -119,9 +120,9 @@ def goals() -> str:
 
 
 def offsets() -> str:
-    """The time offset, with and without the constant that the replies do not show."""
+    """Return the errors of the time offset, with and without the constant of the replies."""
     rows = []
-    for case, result in _cases():
+    for case, result in _read_cases():
         parts = [("whole offset", result["parameters"]["time_offset"])]
         if case.baud is not None:
             parts = [parts[0], ("without the constant", result["offset_apart"])]
@@ -137,7 +138,7 @@ def offsets() -> str:
                     case.name,
                     words,
                     f"{bound_us:.1f} µs",
-                    _span(ratio),
+                    _format_interval(ratio),
                     f"{figures['stated']:.2f}",
                     f"{100 * figures['cover_2sigma']['value']:.1f} %",
                 )
@@ -155,30 +156,30 @@ def offsets() -> str:
 
 
 def outliers() -> str:
-    """The efficiency with outliers."""
+    """Return the efficiency with outliers."""
     rows = []
-    for name, cost in results()["outliers"].items():
-        rows.append((name, *(_span(cost[group], 3) for group in cost)))
-    groups: dict[str, Any] = next(iter(results()["outliers"].values()), {})
+    for name, cost in read_results()["outliers"].items():
+        rows.append((name, *(_format_interval(cost[group], 3) for group in cost)))
+    groups: dict[str, Any] = next(iter(read_results()["outliers"].values()), {})
     goal = 1 - OUTLIER_LOSS
     head = (f"case (goal for each ratio ≥ {goal:.2f})", *groups)
     return table(head, rows)
 
 
 def misses() -> str:
-    """Every goal that was not met, and how many were."""
-    rows = list(judged(results()))
+    """Return the number of met goals, and the table of the others."""
+    rows = list(judged(read_results()))
     missed = [row for row in rows if row.verdict != "yes"]
     summary = f"The solver meets {len(rows) - len(missed)} of {len(rows)} goals."
     if not missed:
         return summary
     return f"{summary}\n\n" + table(
         ("case and quantity", "goal", "measured (95 % interval)", "met"),
-        [_cells(row) for row in missed],
+        [_format_row(row) for row in missed],
     )
 
 
-def _cells(row: Row) -> tuple[str, str, str, str]:
+def _format_row(row: Row) -> tuple[str, str, str, str]:
     goal = row.goal.replace(">=", "≥").replace("<=", "≤")
     return row.item, goal, row.figure, row.verdict
 

@@ -29,11 +29,13 @@ BLOCKS: dict[str, Block] = {
 
 
 def main() -> int:
-    """Write or check the document; the exit code."""
-    parser = argparse.ArgumentParser(description="figures of docs/accuracy.md")
-    parser.add_argument("--check", action="store_true", help="change nothing, 1 if it differs")
-    asked = parser.parse_args()
-    return write_or_check(DOCUMENT, BLOCKS, asked.check, "python docs/accuracy/write.py")
+    """Write or check the document; return the exit code."""
+    parser = argparse.ArgumentParser(description="Write the tables of docs/accuracy.md.")
+    parser.add_argument(
+        "--check", action="store_true", help="change nothing; exit code 1 if a block differs"
+    )
+    options = parser.parse_args()
+    return write_or_check(DOCUMENT, BLOCKS, options.check, "python docs/accuracy/write.py")
 
 
 if __name__ == "__main__":

@@ -1,16 +1,21 @@
-"""`broad` and `car_imu_can`: gyros with a reference attitude."""
+"""Tables of `broad` and `car_imu_can`, the sets with a reference attitude."""
 
 from itertools import combinations
 
 import numpy as np
 from docs.markdown import number, table
-from docs.measured.sessions import LoadedRecording, MeasuredSets, gain_and_std, value_and_std
-from docs.measured.tables import MILLI, findings, reasons, refusals
+from docs.measured.sessions import (
+    LoadedRecording,
+    MeasuredSets,
+    compute_gain_and_std,
+    read_value_and_std,
+)
+from docs.measured.tables import MILLI, reasons, refusals, results
 
 from gyrorig_solver.calibration import CalibrationDocument
 from gyrorig_solver.data import FloatArray
 
-# trial: (board, version) as the page's commands make them
+# trial: board and version of the calibration that the commands of the page make
 VERSIONS = {
     "02": ("BROAD-1", 1),
     "05": ("BROAD-1", 2),
@@ -22,38 +27,39 @@ VERSIONS = {
 SAME_UNIT = (("02", "05", "07"), ("24", "03"))
 
 
-def trial(measured: MeasuredSets, name: str) -> CalibrationDocument:
-    """The calibration made of one trial."""
-    return measured.calibration(*VERSIONS[name])
+def read_trial_calibration(measured: MeasuredSets, name: str) -> CalibrationDocument:
+    """Return the calibration from one trial."""
+    return measured.read_calibration(*VERSIONS[name])
 
 
-def broad_found(measured: MeasuredSets) -> str:
-    """What each trial gives by itself."""
-    return findings({f"trial {name}": trial(measured, name) for name in VERSIONS})
+def broad_results(measured: MeasuredSets) -> str:
+    """Return the calibration of each trial."""
+    return results({f"trial {name}": read_trial_calibration(measured, name) for name in VERSIONS})
 
 
-def broad_doubts(measured: MeasuredSets) -> str:
-    """What the solver says against its own results."""
-    return reasons({f"trial {name}": trial(measured, name) for name in VERSIONS})
+def broad_reasons(measured: MeasuredSets) -> str:
+    """Return the reasons and remarks of the solver for each trial."""
+    return reasons({f"trial {name}": read_trial_calibration(measured, name) for name in VERSIONS})
 
 
 def broad_gains(measured: MeasuredSets) -> str:
-    """How far the gains of trials of one unit lie apart."""
+    """Return the differences between the gains of trials of one unit."""
     rows = []
     for unit in SAME_UNIT:
         for first, other in combinations(unit, 2):
             (gain_1, std_1), (gain_2, std_2) = (
-                gain_and_std(trial(measured, name)) for name in (first, other)
+                compute_gain_and_std(read_trial_calibration(measured, name))
+                for name in (first, other)
             )
-            apart, std = gain_2 - gain_1, np.hypot(std_1, std_2)
-            i, j = np.unravel_index(np.argmax(np.abs(apart)), apart.shape)
+            difference, std = gain_2 - gain_1, np.hypot(std_1, std_2)
+            i, j = np.unravel_index(np.argmax(np.abs(difference)), difference.shape)
             rows.append(
                 [
                     f"trial {other} minus trial {first}",
                     f"{'xyz'[i]}{'xyz'[j]}",
-                    f"{number(MILLI * float(apart[i, j]), 2)}"
+                    f"{number(MILLI * float(difference[i, j]), 2)}"
                     f" ± {number(MILLI * float(std[i, j]), 2)}",
-                    number(float(np.sqrt(np.mean((apart / std) ** 2))), 2),
+                    number(float(np.sqrt(np.mean((difference / std) ** 2))), 2),
                 ]
             )
     head = [
@@ -66,44 +72,48 @@ def broad_gains(measured: MeasuredSets) -> str:
 
 
 def broad_bias(measured: MeasuredSets) -> str:
-    """The fitted bias and the mean of the rests of the same trial."""
+    """Return the fitted bias and the mean rate at rest of each trial."""
     rows = []
     for name in VERSIONS:
-        bias, std = value_and_std(trial(measured, name), "bias")
-        rest = rest_bias(measured.load(name))
+        bias, std = read_value_and_std(read_trial_calibration(measured, name), "bias")
+        rest_rad_s = compute_rest_bias(measured.load_recording(name))
         cells = [
             f"{number(np.degrees(float(b)), 3)} ± {number(np.degrees(float(s)), 3)}"
             f" / {number(np.degrees(float(r)), 3)}"
-            for b, s, r in zip(bias, std, rest, strict=True)
+            for b, s, r in zip(bias, std, rest_rad_s, strict=True)
         ]
         rows.append([name, *cells])
     return table(["trial", *(f"{a}, fitted / at rest, °/s" for a in "xyz")], rows)
 
 
-def rest_bias(loaded: LoadedRecording) -> FloatArray:
-    """The mean rate of a trial's rests."""
-    # The mean: these gyros count in steps of 0.061 deg/s, and a median is one of the steps.
-    still = loaded.at_rest(loaded.samples.time_s)
-    return np.asarray(loaded.samples.rate_rad_s[still].mean(axis=0), np.float64)
+def compute_rest_bias(loaded: LoadedRecording) -> FloatArray:
+    """Return the mean rate of the rests of a trial."""
+    # A median would be a multiple of the resolution, 0.061 deg/s.
+    is_at_rest = loaded.make_rest_mask(loaded.samples.time_s)
+    return np.asarray(loaded.samples.rate_rad_s[is_at_rest].mean(axis=0), np.float64)
 
 
-def fit_of(measured: MeasuredSets, name: str) -> tuple[float, FloatArray, FloatArray]:
-    """Time offset in s, bias and gain of one trial's fit."""
-    calibration = trial(measured, name)
-    offset_s = float(value_and_std(calibration, "time_offset")[0][0])
-    return offset_s, value_and_std(calibration, "bias")[0], gain_and_std(calibration)[0]
+def read_fit(measured: MeasuredSets, name: str) -> tuple[float, FloatArray, FloatArray]:
+    """Return the time offset in s, the bias and the gain of the fit of one trial."""
+    calibration = read_trial_calibration(measured, name)
+    offset_s = float(read_value_and_std(calibration, "time_offset")[0][0])
+    return (
+        offset_s,
+        read_value_and_std(calibration, "bias")[0],
+        compute_gain_and_std(calibration)[0],
+    )
 
 
-def car_found(measured: MeasuredSets) -> str:
-    """The phone's gyro with the camera's pose as the reference."""
-    return findings({"with the pose": measured.calibration("COMMA-PHONE")})
+def car_results(measured: MeasuredSets) -> str:
+    """Return the calibration of the phone's gyro with the pose of the camera as the reference."""
+    return results({"with the pose": measured.read_calibration("COMMA-PHONE")})
 
 
-def car_doubts(measured: MeasuredSets) -> str:
-    """Why the pose is distrusted."""
-    return reasons({"pose": measured.calibration("COMMA-PHONE")})
+def car_reasons(measured: MeasuredSets) -> str:
+    """Return the reasons and remarks of the solver for the pose."""
+    return reasons({"pose": measured.read_calibration("COMMA-PHONE")})
 
 
-def car_refused(measured: MeasuredSets) -> str:
-    """What is no gyro data."""
+def car_refusals(measured: MeasuredSets) -> str:
+    """Return the rejected input, which contains no gyro data."""
     return refusals(measured.runs["car-imu-can"])

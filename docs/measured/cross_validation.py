@@ -1,11 +1,11 @@
-"""`broad`, cross-validated: every trial of a unit fitted, every other trial of it judged.
+"""Cross-validation of `broad`: each trial of a unit is fitted and tested on its other trials.
 
-What to use when: `held_out` for the rotation errors of all ordered pairs, `factors` for what
-each pair gains, `summary` for the sentences about them, `bands` for the trial whose gain does
-harm elsewhere: what it gives when only its lower frequencies are used.
+What to use when: `rotation_errors` for the errors of all ordered pairs, `factors` for the error
+ratios of each pair, `summary` for the sentences about them. `bands` is for the trial whose gain
+increases the errors of other trials: its fit uses only lower frequencies.
 
-Intervals are of a bootstrap over blocks of `BLOCK_S`, not over windows: neighbouring windows
-share one motion, and resampling them alone would claim too narrow an interval.
+The intervals are from a bootstrap over blocks of `BLOCK_S`. A bootstrap over windows would give
+intervals that are too narrow, because neighbouring windows share one motion.
 """
 
 from collections.abc import Iterator
@@ -15,7 +15,7 @@ from itertools import permutations
 
 import numpy as np
 from docs.markdown import number, table
-from docs.measured.attitude_sets import SAME_UNIT, fit_of, rest_bias
+from docs.measured.attitude_sets import SAME_UNIT, compute_rest_bias, read_fit
 from docs.measured.sessions import LoadedRecording, MeasuredSets
 from tests.support.rotation_error import window_rotation_error
 
@@ -28,66 +28,67 @@ BANDS_HZ = (1.0, 2.0, 5.0)
 FAST, SLOW = "07", ("02", "05")
 BOOTSTRAPS = 2000
 PERCENT = (2.5, 97.5)
-SEED = 20260131  # so that the same errors give the same interval
-DISTURBED = {"24": "tapping", "33": "magnet"}  # by the names of the files
-RAW, OFFSET, GAIN, ALL, OWN = (
+SEED = 20260131  # the same errors then give the same interval
+DISTURBANCES = {"24": "tapping", "33": "magnet"}  # from the file names
+RAW, OFFSET, GAIN, ALL, TESTED = (
     "raw gyro",
     "time offset only",
     "time offset and gain",
     "full calibration",
     "fit of the tested trial",
 )
-PARAMETER_SETS = (RAW, OFFSET, GAIN, ALL, OWN)
+PARAMETER_SETS = (RAW, OFFSET, GAIN, ALL, TESTED)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Pair:
-    """Rotation errors on one trial, per set of parameters from the fit of another."""
+    """Rotation errors on the tested trial, for each set of parameters."""
 
     train: str
     test: str
     angle_rad: dict[str, FloatArray]  # by parameter set, one value per window
-    block: FloatArray  # (n,), which block each window is in
+    block: FloatArray  # (n,), number of the block of each window
 
     @property
     def title(self) -> str:
-        """`02 → 05`, a disturbed trial with its disturbance."""
-        return " → ".join(_titled(name) for name in (self.train, self.test))
+        """The two trials, as in `02 → 05`; a disturbed trial has its disturbance."""
+        return " → ".join(_format_trial(name) for name in (self.train, self.test))
 
-    def rms_deg(self, parameter_set: str) -> tuple[float, float, float]:
-        """The rms and its 95 % interval."""
+    def compute_rms_deg(self, parameter_set: str) -> tuple[float, float, float]:
+        """Return the rms error and its 95 % interval."""
         whole = float(np.sqrt(np.mean(self.angle_rad[parameter_set] ** 2)))
-        low, high = np.percentile(np.sqrt(self._means(parameter_set)), PERCENT)
+        low, high = np.percentile(np.sqrt(self._draw_mean_squares(parameter_set)), PERCENT)
         return float(np.degrees(whole)), float(np.degrees(low)), float(np.degrees(high))
 
-    def factor(self, before: str, after: str) -> tuple[float, float, float]:
-        """The ratio of two rms errors and its 95 % interval, with the same blocks."""
+    def compute_ratio(self, before: str, after: str) -> tuple[float, float, float]:
+        """Return the ratio of two rms errors and its 95 % interval, from the same blocks."""
         squares = [
             float(np.mean(self.angle_rad[parameter_set] ** 2)) for parameter_set in (before, after)
         ]
-        drawn = np.sqrt(self._means(before) / self._means(after))
-        low, high = np.percentile(drawn, PERCENT)
+        ratios = np.sqrt(self._draw_mean_squares(before) / self._draw_mean_squares(after))
+        low, high = np.percentile(ratios, PERCENT)
         return float(np.sqrt(squares[0] / squares[1])), float(low), float(high)
 
-    def closer_percent(self, before: str, after: str) -> float:
-        """The share of windows in which `after` is closer to the reference."""
+    def compute_closer_percent(self, before: str, after: str) -> float:
+        """Return the share of windows in which `after` is closer to the reference."""
         return 100.0 * float(np.mean(self.angle_rad[after] < self.angle_rad[before]))
 
-    def _means(self, parameter_set: str) -> FloatArray:
-        """Mean squares of the bootstrap's draws; every call draws the same blocks."""
+    def _draw_mean_squares(self, parameter_set: str) -> FloatArray:
+        """Return the mean square of each bootstrap draw; every call draws the same blocks."""
         _, at = np.unique(self.block, return_inverse=True)
         sums = np.bincount(at, self.angle_rad[parameter_set] ** 2)
         counts = np.bincount(at)
-        drawn = np.random.default_rng(SEED).integers(0, sums.size, (BOOTSTRAPS, sums.size))
-        return np.asarray(sums[drawn].sum(axis=1) / counts[drawn].sum(axis=1), np.float64)
+        indices = np.random.default_rng(SEED).integers(0, sums.size, (BOOTSTRAPS, sums.size))
+        return np.asarray(sums[indices].sum(axis=1) / counts[indices].sum(axis=1), np.float64)
 
 
-def held_out(measured: MeasuredSets) -> str:
-    """Rotation error of every ordered pair, one column per set of parameters."""
+def rotation_errors(measured: MeasuredSets) -> str:
+    """Return the rotation error of every ordered pair, one column per set of parameters."""
     rows = []
-    for pair in pairs(measured):
+    for pair in make_pairs(measured):
         cells = [
-            _with_interval(*pair.rms_deg(parameter_set), 3) for parameter_set in PARAMETER_SETS
+            _format_interval(*pair.compute_rms_deg(parameter_set), 3)
+            for parameter_set in PARAMETER_SETS
         ]
         rows.append([pair.title, *cells, str(pair.block.size)])
     return table(
@@ -101,17 +102,17 @@ def held_out(measured: MeasuredSets) -> str:
 
 
 def factors(measured: MeasuredSets) -> str:
-    """Error ratios of each pair, compared with raw and with the time offset alone."""
+    """Return the error ratios of each pair, relative to raw and to the time offset alone."""
     rows = []
-    for pair in pairs(measured):
+    for pair in make_pairs(measured):
         rows.append(
             [
                 pair.title,
-                _with_interval(*pair.factor(RAW, ALL), 2),
-                _with_interval(*pair.factor(OFFSET, ALL), 2),
-                number(pair.closer_percent(OFFSET, ALL), 0),
-                _with_interval(*pair.factor(ALL, OWN), 2),
-                _verdict(pair.factor(OFFSET, ALL)),
+                _format_interval(*pair.compute_ratio(RAW, ALL), 2),
+                _format_interval(*pair.compute_ratio(OFFSET, ALL), 2),
+                number(pair.compute_closer_percent(OFFSET, ALL), 0),
+                _format_interval(*pair.compute_ratio(ALL, TESTED), 2),
+                _judge_ratio(pair.compute_ratio(OFFSET, ALL)),
             ]
         )
     head = [
@@ -126,24 +127,24 @@ def factors(measured: MeasuredSets) -> str:
 
 
 def summary(measured: MeasuredSets) -> str:
-    """The number of pairs in which the calibration helps, and by how much."""
-    all_pairs = pairs(measured)
-    whole = [pair.factor(RAW, ALL) for pair in all_pairs]
-    lines = [_counted("Compared with the raw gyro,", whole, all_pairs)]
-    with_offset = [pair.factor(OFFSET, ALL) for pair in all_pairs]
+    """Return the number of pairs in which the calibration helps, and its factors."""
+    all_pairs = make_pairs(measured)
+    whole = [pair.compute_ratio(RAW, ALL) for pair in all_pairs]
+    lines = [_count_pairs("Compared with the raw gyro,", whole, all_pairs)]
+    with_offset = [pair.compute_ratio(OFFSET, ALL) for pair in all_pairs]
     lines.append(
-        _counted("Compared with a correction of the time offset alone,", with_offset, all_pairs)
+        _count_pairs("Compared with a correction of the time offset alone,", with_offset, all_pairs)
     )
     return "\n".join(lines)
 
 
-def _counted(
-    comparison: str, factor: list[tuple[float, float, float]], all_pairs: tuple[Pair, ...]
+def _count_pairs(
+    comparison: str, ratios: list[tuple[float, float, float]], all_pairs: tuple[Pair, ...]
 ) -> str:
-    """One line of the summary."""
-    verdicts = [_verdict(ratio) for ratio in factor]
+    """Return one line of the summary."""
+    verdicts = [_judge_ratio(ratio) for ratio in ratios]
     helped = [
-        ratio[0] for ratio, verdict in zip(factor, verdicts, strict=True) if verdict == "helps"
+        ratio[0] for ratio, verdict in zip(ratios, verdicts, strict=True) if verdict == "helps"
     ]
     count = f"{len(helped)} of {len(all_pairs)} pairs"
     line = f"- {comparison} the calibration reduces the error in {count}"
@@ -158,8 +159,8 @@ def _counted(
     ):
         titles = [
             f"{pair.title} ({number(ratio[0], 2)})"
-            for pair, ratio, its in zip(all_pairs, factor, verdicts, strict=True)
-            if its == verdict
+            for pair, ratio, pair_verdict in zip(all_pairs, ratios, verdicts, strict=True)
+            if pair_verdict == verdict
         ]
         if titles:
             line += f". {statement} {', '.join(titles)}"
@@ -168,33 +169,35 @@ def _counted(
     return f"{line}."
 
 
-def _verdict(factor: tuple[float, float, float]) -> str:
-    """The verdict that the interval of a ratio allows."""
-    _, low, high = factor
+def _judge_ratio(ratio: tuple[float, float, float]) -> str:
+    """Return the verdict from the interval of a ratio."""
+    _, low, high = ratio
     if low > 1.0:
         return "helps"
     return "harms" if high < 1.0 else "no difference"
 
 
-def _with_interval(value: float, low: float, high: float, digits: int) -> str:
+def _format_interval(value: float, low: float, high: float, digits: int) -> str:
     return f"{number(value, digits)} ({number(low, digits)} to {number(high, digits)})"
 
 
-def _titled(name: str) -> str:
-    return f"{name} ({DISTURBED[name]})" if name in DISTURBED else name
+def _format_trial(name: str) -> str:
+    return f"{name} ({DISTURBANCES[name]})" if name in DISTURBANCES else name
 
 
 @cache
-def pairs(measured: MeasuredSets) -> tuple[Pair, ...]:
-    """Every ordered pair of trials of one unit."""
+def make_pairs(measured: MeasuredSets) -> tuple[Pair, ...]:
+    """Return every ordered pair of trials of one unit."""
     return tuple(
-        _pair(measured, train, test) for unit in SAME_UNIT for train, test in permutations(unit, 2)
+        _make_pair(measured, train, test)
+        for unit in SAME_UNIT
+        for train, test in permutations(unit, 2)
     )
 
 
 def bands(measured: MeasuredSets) -> str:
-    """The fast trial fitted up to several frequency limits, tested on trials of its unit."""
-    fast = measured.load(FAST)
+    """Return the errors of fits of the fast trial with several frequency limits."""
+    fast = measured.load_recording(FAST)
     if fast.attitude is None:
         raise ValueError(f"{FAST} has no reference attitude")
     rows = []
@@ -204,50 +207,52 @@ def bands(measured: MeasuredSets) -> str:
             f"{number(value, 5)} ± {number(fit.std[f'scale.{axis}'], 5)}"
             for axis, value in zip("xyz", fit.scale.tolist(), strict=True)
         ]
-        judged = []
+        errors_deg = []
         for name in (*SLOW, FAST):
-            loaded = measured.load(name)
-            angle, _ = _errors(loaded, fit.time_offset_s, rest_bias(loaded), fit.gain)
-            judged.append(number(float(np.degrees(np.sqrt(np.mean(angle**2)))), 3))
-        rows.append([number(band_hz, 0), *scales, *judged])
+            loaded = measured.load_recording(name)
+            angle, _ = _compute_errors(
+                loaded, fit.time_offset_s, compute_rest_bias(loaded), fit.gain
+            )
+            errors_deg.append(number(float(np.degrees(np.sqrt(np.mean(angle**2)))), 3))
+        rows.append([number(band_hz, 0), *scales, *errors_deg])
     head = ["frequencies up to, Hz", *(f"scale {axis}" for axis in "xyz")]
     return table([*head, *(f"tested on trial {name}, °" for name in (*SLOW, FAST))], rows)
 
 
-def _pair(measured: MeasuredSets, train: str, test: str) -> Pair:
-    loaded = measured.load(test)
+def _make_pair(measured: MeasuredSets, train: str, test: str) -> Pair:
+    loaded = measured.load_recording(test)
     angles = {}
-    begin = np.zeros(0)
-    for words, offset_s, bias, gain in _ways(measured, train, test, loaded):
-        angles[words], begin = _errors(loaded, offset_s, bias, gain)
+    begins_s = np.zeros(0)
+    for words, offset_s, bias, gain in _make_parameter_sets(measured, train, test, loaded):
+        angles[words], begins_s = _compute_errors(loaded, offset_s, bias, gain)
     if len({angle.size for angle in angles.values()}) != 1:
         raise ValueError(f"{train} and {test}: the parameter sets have different windows")
-    return Pair(train, test, angles, np.floor((begin - begin[0]) / BLOCK_S))
+    return Pair(train, test, angles, np.floor((begins_s - begins_s[0]) / BLOCK_S))
 
 
-def _errors(
+def _compute_errors(
     loaded: LoadedRecording, offset_s: float, bias_rad_s: FloatArray, gain: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Angle errors of the windows in motion, and when each begins."""
+    """Return the angle error and the begin of each window in motion."""
     attitude = loaded.attitude
     if attitude is None:
         raise ValueError(f"{loaded.samples.board} has no reference attitude")
     rate = (loaded.samples.rate_rad_s - bias_rad_s) @ np.linalg.inv(gain).T
     time_s = loaded.samples.time_s - offset_s
-    moving = ~loaded.at_rest(attitude.time_s)
+    moving = ~loaded.make_rest_mask(attitude.time_s)
     error = window_rotation_error(time_s, rate, attitude, WINDOW_S, moving)
     return error.angle_rad, error.begin_s
 
 
-def _ways(
+def _make_parameter_sets(
     measured: MeasuredSets, train: str, test: str, loaded: LoadedRecording
 ) -> Iterator[tuple[str, float, FloatArray, FloatArray]]:
-    """The parameter sets: name, time offset, bias and gain."""
-    offset_s, bias, gain = fit_of(measured, train)
-    own_offset_s, own_bias, own_gain = fit_of(measured, test)
-    rest, nominal = rest_bias(loaded), np.eye(3)
-    yield RAW, 0.0, rest, nominal
-    yield OFFSET, offset_s, rest, nominal
-    yield GAIN, offset_s, rest, gain
+    """Yield name, time offset, bias and gain of each parameter set."""
+    offset_s, bias, gain = read_fit(measured, train)
+    tested_offset_s, tested_bias, tested_gain = read_fit(measured, test)
+    rest_bias, nominal = compute_rest_bias(loaded), np.eye(3)
+    yield RAW, 0.0, rest_bias, nominal
+    yield OFFSET, offset_s, rest_bias, nominal
+    yield GAIN, offset_s, rest_bias, gain
     yield ALL, offset_s, bias, gain
-    yield OWN, own_offset_s, own_bias, own_gain
+    yield TESTED, tested_offset_s, tested_bias, tested_gain

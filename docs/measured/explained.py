@@ -1,4 +1,4 @@
-"""What `gyrorig explain` says of the measured sets: causes, gains on data left out, the rest."""
+"""Tables of the findings of `gyrorig explain` on the measured sets."""
 
 from functools import cache
 
@@ -19,53 +19,55 @@ from gyrorig_solver.pipeline.board_data import load_board
 from gyrorig_solver.pipeline.references.attitudes import load_attitude_recordings
 
 TRIALS = ("02", "05", "07", "24", "03", "33")
-MOST = 3  # sizes of one cause that are written out
+MOST_SIZES = 3  # sizes of one cause in the table
 
 
-def findings_of(measured: MeasuredSets, name: str) -> FindingsDocument:
-    """The findings that one explain command wrote."""
+def read_findings(measured: MeasuredSets, name: str) -> FindingsDocument:
+    """Return the findings that one explain command wrote."""
     (path,) = (measured.folder / EXPLAINED / name).glob("*/findings.yaml")
     return parse_findings(path.read_bytes(), path.name)
 
 
-def names(measured: MeasuredSets) -> list[str]:
-    """The folders of all explain commands, in the order of the page."""
+def list_names(measured: MeasuredSets) -> list[str]:
+    """Return the folders of all explain commands, in the order of the page."""
     return [command.line.rpartition("/")[2] for command in measured.runs[EXPLAINED]]
 
 
 def causes(measured: MeasuredSets) -> str:
-    """Verdict, causes and unexplained dependence, one row per command."""
+    """Return verdict, causes and unexplained dependence, one row per command."""
     rows = []
-    for name in names(measured):
-        findings = findings_of(measured, name)
+    for name in list_names(measured):
+        findings = read_findings(measured, name)
         rest = findings.unexplained
-        left = [] if rest is None else [rest.best_covariate, *(o.covariate for o in rest.others)]
+        covariates = (
+            [] if rest is None else [rest.best_covariate, *(o.covariate for o in rest.others)]
+        )
         rows.append(
             [
                 name,
                 verdict_words(findings)[0].lower(),
-                "; ".join(_named(cause) for cause in findings.causes) or "none",
-                "; ".join(dict.fromkeys(left)) or "nothing",
+                "; ".join(_format_cause(cause) for cause in findings.causes) or "none",
+                "; ".join(dict.fromkeys(covariates)) or "nothing",
             ]
         )
     return table(["recordings", "verdict", "causes", "residual depends"], rows)
 
 
 def gains(measured: MeasuredSets) -> str:
-    """The gain of the named causes on data that they were not fitted to."""
+    """Return the gain of the named causes on held-out data."""
     rows = []
-    for name in names(measured):
-        findings = findings_of(measured, name)
+    for name in list_names(measured):
+        findings = read_findings(measured, name)
         if findings.gain is None:
             continue
         before, after = findings.gain.residual_rms_before, findings.gain.residual_rms_after
         rows.append(
             [
                 name,
-                _nats(findings.gain),
-                f"{_mdps(before)} → {_mdps(after)}",
-                "-" if findings.elsewhere is None else _where(findings.elsewhere),
-                "-" if findings.elsewhere is None else _nats(findings.elsewhere),
+                _format_nats(findings.gain),
+                f"{_format_mdps(before)} → {_format_mdps(after)}",
+                "-" if findings.elsewhere is None else _format_source(findings.elsewhere),
+                "-" if findings.elsewhere is None else _format_nats(findings.elsewhere),
             ]
         )
     head = [
@@ -79,10 +81,10 @@ def gains(measured: MeasuredSets) -> str:
 
 
 def smoothing(measured: MeasuredSets) -> str:
-    """The averaging time of each trial's attitudes."""
+    """Return the averaging time of the attitudes of each trial."""
     rows = []
     for name in TRIALS:
-        for cause in findings_of(measured, name).causes:
+        for cause in read_findings(measured, name).causes:
             if cause.cause == ReferenceSmoothing.cause:
                 size = cause.parameters["variance"]
                 value, std = size.value or 0.0, size.std or 0.0
@@ -93,11 +95,11 @@ def smoothing(measured: MeasuredSets) -> str:
     return table(["trial", "averaging time of attitudes, ms rms"], rows)
 
 
-def moving(measured: MeasuredSets) -> str:
-    """The bias in motion minus the bias at rest, per trial."""
+def bias_in_motion(measured: MeasuredSets) -> str:
+    """Return the bias in motion minus the bias at rest, per trial."""
     rows = []
     for name in TRIALS:
-        value, std = moving_bias(measured, name)
+        value, std = estimate_moving_bias(measured, name)
         cells = [
             f"{number(np.degrees(1e3 * v), 0)} ± {number(np.degrees(1e3 * s), 0)}"
             for v, s in zip(value.tolist(), std.tolist(), strict=True)
@@ -107,27 +109,27 @@ def moving(measured: MeasuredSets) -> str:
 
 
 @cache
-def moving_bias(measured: MeasuredSets, name: str) -> tuple[FloatArray, FloatArray]:
-    """Bias in motion minus bias at rest and its standard deviation, rad/s."""
+def estimate_moving_bias(measured: MeasuredSets, name: str) -> tuple[FloatArray, FloatArray]:
+    """Return the bias in motion minus the bias at rest, and its standard deviation, rad/s."""
     recording = read_recording(measured.folder / f"{name}.mcap")
     data = load_board([recording], recording.board_ids[0])
     space = fit_attitude_space(load_attitude_recordings(data)).base
     smoothed_space = space.with_terms([free_term(ReferenceSmoothing())])
     term = MovingBias()
-    looked = smoothed_space.score_statistics(
+    statistics = smoothed_space.score_statistics(
         smoothed_space.evaluate_signals(
             lambda scene: term.tangent_signals(scene, start_values(term))
         )
     )
-    covariance = np.linalg.inv(looked.information)
-    return covariance @ looked.score, np.sqrt(np.diag(covariance))
+    covariance = np.linalg.inv(statistics.information)
+    return covariance @ statistics.score, np.sqrt(np.diag(covariance))
 
 
-def untold(measured: MeasuredSets) -> str:
-    """The recordings in which only the raw samples can be checked, with the reason."""
+def not_testable(measured: MeasuredSets) -> str:
+    """Return the recordings in which the solver can only check raw samples, with the reason."""
     rows = []
-    for name in names(measured):
-        findings = findings_of(measured, name)
+    for name in list_names(measured):
+        findings = read_findings(measured, name)
         if findings.minimal_detectable:
             continue
         reasons = {entry.reason for entry in findings.not_testable}
@@ -135,14 +137,16 @@ def untold(measured: MeasuredSets) -> str:
     return table(["recordings", "reason"], rows)
 
 
-def _named(cause: CauseEntry) -> str:
+def _format_cause(cause: CauseEntry) -> str:
     sizes = list(cause.parameters.items())
-    text = ", ".join(f"{name} {size_text(cause.cause, name, size)}" for name, size in sizes[:MOST])
-    also = "".join(f" or `{alternative}`" for alternative in cause.one_of)
-    return f"`{cause.cause}`{also} ({text}{', ...' if len(sizes) > MOST else ''})"
+    text = ", ".join(
+        f"{name} {size_text(cause.cause, name, size)}" for name, size in sizes[:MOST_SIZES]
+    )
+    alternatives = "".join(f" or `{alternative}`" for alternative in cause.one_of)
+    return f"`{cause.cause}`{alternatives} ({text}{', ...' if len(sizes) > MOST_SIZES else ''})"
 
 
-def _nats(gain: GainEntry) -> str:
+def _format_nats(gain: GainEntry) -> str:
     low, high = gain.interval or (None, None)
     value = gain.held_out_log_likelihood
     if value is None or low is None or high is None:
@@ -150,9 +154,9 @@ def _nats(gain: GainEntry) -> str:
     return f"{value:+.1f} ({low:+.1f} to {high:+.1f})"
 
 
-def _where(gain: GainEntry) -> str:
+def _format_source(gain: GainEntry) -> str:
     return (gain.how or "").removeprefix("the recording ").partition(",")[0].partition(";")[0]
 
 
-def _mdps(value: float | None) -> str:
+def _format_mdps(value: float | None) -> str:
     return "-" if value is None else number(float(np.degrees(1e3 * value)), 1)

@@ -1,8 +1,8 @@
-"""The commands of the page, run as a reader runs them, and what comes of them.
+"""Run the commands of the page, and read their results.
 
-What to use when: `measured_folder` for the folder of measurements; `run_all` imports, checks and
-solves every set in an empty folder and returns the output of each command. The numbers of the
-page are read from the calibrations that it leaves there.
+What to use when: `find_measured_folder` for the folder of measurements; `run_all` imports, checks
+and solves every set in an empty folder, and returns the output of each command. The numbers of the
+page are from the calibrations in that folder.
 """
 
 import contextlib
@@ -32,7 +32,7 @@ VARIABLE = "GYRORIG_DATA"
 STORE = "calibrations"
 EXPLAINED = "explained"  # the set of explain commands, and their folder
 
-# In the order of the page. Boards of `broad` are named by unit: 02, 05, 07 share one.
+# In the order of the page. Trials of one unit of `broad` have one board: 02, 05 and 07.
 COMMANDS: dict[str, tuple[str, ...]] = {
     "broad": (
         "gyrorig import broad $GYRORIG_DATA/broad/02_undisturbed_slow_rotation_B.npz"
@@ -112,11 +112,11 @@ COMMANDS: dict[str, tuple[str, ...]] = {
 }
 
 
-def measured_folder() -> Path:
-    """The folder of measurements: $GYRORIG_DATA, or shared/data beside the checkout.
+def find_measured_folder() -> Path:
+    """Return the folder of measurements: $GYRORIG_DATA, or shared/data next to the checkout.
 
     Raises:
-        SystemExit: it is not there.
+        SystemExit: the folder does not exist.
     """
     named = os.environ.get(VARIABLE)
     folder = Path(named) if named else ROOT.parent / "shared" / "data"
@@ -130,7 +130,7 @@ def measured_folder() -> Path:
 
 @dataclass(frozen=True, slots=True)
 class CommandRun:
-    """One command line with its exit status and texts."""
+    """One command line with its exit code and output."""
 
     line: str
     exit_code: int
@@ -140,48 +140,48 @@ class CommandRun:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LoadedRecording:
-    """One imported recording as the estimators take it."""
+    """One imported recording as input of the estimators."""
 
     samples: GyroSamples
     turns: tuple[KnownTurn, ...]
     rests: tuple[TimeInterval, ...]
     attitude: AttitudeReference | None
 
-    def at_rest(self, time_s: FloatArray) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
-        """True where a time is in one of the rests."""
-        still = np.zeros(time_s.size, np.bool_)
+    def make_rest_mask(self, time_s: FloatArray) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
+        """Return a mask of the times that are in one of the rests."""
+        mask = np.zeros(time_s.size, np.bool_)
         for rest in self.rests:
-            still |= (time_s >= rest.begin_s) & (time_s <= rest.end_s)
-        return still
+            mask |= (time_s >= rest.begin_s) & (time_s <= rest.end_s)
+        return mask
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MeasuredSets:
-    """Every set, imported, checked and solved below one folder."""
+    """Every imported, checked and solved set, in one folder."""
 
     data: Path
     folder: Path
     runs: Mapping[str, tuple[CommandRun, ...]]  # by set
 
-    def calibration(self, board: str, version: int = 1) -> CalibrationDocument:
-        """A version that `gyrorig solve` wrote."""
+    def read_calibration(self, board: str, version: int = 1) -> CalibrationDocument:
+        """Return a calibration that `gyrorig solve` wrote."""
         path = CalibrationStore(self.folder / STORE).versions(BoardId(board))[version - 1].path
         return parse_calibration(path.read_bytes(), path.name)
 
-    def recordings(self) -> list[Path]:
-        """The recordings that `gyrorig import` wrote."""
+    def list_recordings(self) -> list[Path]:
+        """Return the recordings that `gyrorig import` wrote."""
         return sorted(self.folder.glob("*.mcap"))
 
-    def documents(self) -> list[Path]:
-        """The calibrations and findings that `gyrorig solve` wrote to the store."""
+    def list_documents(self) -> list[Path]:
+        """Return the calibrations and findings that `gyrorig solve` wrote to the store."""
         return sorted((self.folder / STORE).rglob("*.yaml"))
 
-    def explanations(self) -> list[Path]:
-        """The findings that `gyrorig explain` wrote."""
+    def list_explanations(self) -> list[Path]:
+        """Return the findings that `gyrorig explain` wrote."""
         return sorted((self.folder / EXPLAINED).rglob("*.yaml"))
 
-    def load(self, name: str) -> LoadedRecording:
-        """Read a recording back."""
+    def load_recording(self, name: str) -> LoadedRecording:
+        """Return one imported recording."""
         recording = read_recording(self.folder / f"{name}.mcap")
         samples = load_samples(recording, recording.board_ids[0])
         phases = read_turns(recording.events(), samples.origin_ns)
@@ -198,21 +198,21 @@ class MeasuredSets:
 def run_all(
     data: Path, folder: Path, commands: Mapping[str, tuple[str, ...]] = COMMANDS
 ) -> MeasuredSets:
-    """Run every command of the page, or those given.
+    """Run every command of the page, or the given commands.
 
     Args:
-        data: the measurements.
-        folder: an empty one, for the recordings and the store.
+        data: folder of the measurements.
+        folder: empty folder for the recordings and the store.
         commands: by set.
     """
     runs = {}
     with contextlib.chdir(folder):
         for name, lines in commands.items():
-            runs[name] = tuple(_run(line, data) for line in lines)
+            runs[name] = tuple(_run_command(line, data) for line in lines)
     return MeasuredSets(data, folder, runs)
 
 
-def _run(line: str, data: Path) -> CommandRun:
+def _run_command(line: str, data: Path) -> CommandRun:
     words = [word.replace(f"${VARIABLE}", str(data)) for word in shlex.split(line)[1:]]
     out, err = io.StringIO(), io.StringIO()
     with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
@@ -220,26 +220,28 @@ def _run(line: str, data: Path) -> CommandRun:
     return CommandRun(line, code, out.getvalue(), err.getvalue())
 
 
-def numbers_of(values: list[float | None] | float | None) -> FloatArray:
-    """A parameter's values, nan where the document has null."""
+def as_array(values: list[float | None] | float | None) -> FloatArray:
+    """Return the values of a parameter; null in the document becomes nan."""
     listed = values if isinstance(values, list) else [values]
     return np.array([np.nan if v is None else v for v in listed], dtype=np.float64)
 
 
-def value_and_std(calibration: CalibrationDocument, name: str) -> tuple[FloatArray, FloatArray]:
-    """A parameter of a calibration document, and its standard deviation."""
+def read_value_and_std(
+    calibration: CalibrationDocument, name: str
+) -> tuple[FloatArray, FloatArray]:
+    """Return a parameter of a calibration document, and its standard deviation."""
     parameter = calibration.parameters[name]
-    return numbers_of(parameter.value), numbers_of(parameter.std)
+    return as_array(parameter.value), as_array(parameter.std)
 
 
-def gain_and_std(calibration: CalibrationDocument) -> tuple[FloatArray, FloatArray]:
-    """G = S T M and the standard deviation of each entry, from the document's covariance.
+def compute_gain_and_std(calibration: CalibrationDocument) -> tuple[FloatArray, FloatArray]:
+    """Return G = S T M and the standard deviation of each entry, from the document's covariance.
 
-    For a calibration in which every factor is observable.
+    Every factor of the calibration must be observable.
     """
     factors = GainFactors(
         *(
-            value_and_std(calibration, name)[0]
+            read_value_and_std(calibration, name)[0]
             for name in ("scale", "nonorthogonality", "misalignment")
         )
     )

@@ -16,41 +16,41 @@ AXES = "xyz"
 
 
 def commands(runs: Iterable[CommandRun]) -> str:
-    """The command lines."""
+    """Return the command lines."""
     return "\n".join(("```sh", *(command.line for command in runs), "```"))
 
 
-def codes(measured: MeasuredSets) -> str:
-    """The exit status of each command of each set."""
+def exit_codes(measured: MeasuredSets) -> str:
+    """Return the exit codes of all commands of each set."""
     rows = []
     for name, runs in measured.runs.items():
         if name == EXPLAINED:
             continue
-        ended: dict[str, list[str]] = {"import": [], "check": [], "solve": []}
+        codes_by_command: dict[str, list[str]] = {"import": [], "check": [], "solve": []}
         for command in runs:
-            ended[command.line.split()[1]].append(str(command.exit_code))
-        rows.append([f"`{name}`", *(", ".join(all_of) for all_of in ended.values())])
+            codes_by_command[command.line.split()[1]].append(str(command.exit_code))
+        rows.append([f"`{name}`", *(", ".join(codes) for codes in codes_by_command.values())])
     return table(["data set", "exit codes of import", "of check", "of solve"], rows)
 
 
 def refusals(runs: Iterable[CommandRun]) -> str:
-    """The commands that rejected their input, and their error messages."""
+    """Return the commands that rejected their input, and their error messages."""
     rows = [
-        [f"`{_short(command.line)}`", str(command.exit_code), command.errors.strip()]
+        [f"`{_shorten_command(command.line)}`", str(command.exit_code), command.errors.strip()]
         for command in runs
         if command.exit_code == 3
     ]
     return table(["command", "exit code", "message"], rows)
 
 
-def _short(line: str) -> str:
-    """A command without the folders of its input, and without --out."""
+def _shorten_command(line: str) -> str:
+    """Return a command without the folders of its input, and without --out."""
     words = line.split(" --out", maxsplit=1)[0].split()
     return " ".join(word.rpartition("/")[2] if word.startswith("$") else word for word in words)
 
 
-def findings(columns: Mapping[str, CalibrationDocument]) -> str:
-    """Every parameter with its standard deviation, one column per calibration; then the verdict."""
+def results(columns: Mapping[str, CalibrationDocument]) -> str:
+    """Return all parameters with standard deviations, and the verdict, one column per document."""
     rows = []
     for group in PARAMETER_GROUPS:
         values = {
@@ -58,7 +58,7 @@ def findings(columns: Mapping[str, CalibrationDocument]) -> str:
             for title, calibration in columns.items()
         }
         for at, label in enumerate(group.labels):
-            cells = [_cell(*pairs[at], group.factor) for pairs in values.values()]
+            cells = [_format_cell(*pairs[at], group.factor) for pairs in values.values()]
             name = f"{group.name.replace('_', ' ')} {label}".strip()
             rows.append([name if group.unit == "1" else f"{name}, {group.unit}", *cells])
     rows.append(
@@ -71,7 +71,7 @@ def findings(columns: Mapping[str, CalibrationDocument]) -> str:
     return table(["parameter", *columns], rows)
 
 
-def _cell(value: float | None, std: float | None, factor: float) -> str:
+def _format_cell(value: float | None, std: float | None, factor: float) -> str:
     if value is None:
         return "-"
     text, spread = format_quantity(value * factor, None if std is None else std * factor)
@@ -79,7 +79,7 @@ def _cell(value: float | None, std: float | None, factor: float) -> str:
 
 
 def reasons(calibrations: Mapping[str, CalibrationDocument]) -> str:
-    """The reasons for each verdict and the remarks, with their remedies."""
+    """Return the reasons for each verdict and the remarks, with their remedies."""
     rows = []
     for title, calibration in calibrations.items():
         rows += [[title, "reason", text] for text in calibration.trust.reasons]
@@ -87,25 +87,25 @@ def reasons(calibrations: Mapping[str, CalibrationDocument]) -> str:
     return table(["recording", "kind", "message"], rows)
 
 
-def untold(calibration: CalibrationDocument) -> str:
-    """The parameters without a value."""
+def list_unobservable(calibration: CalibrationDocument) -> str:
+    """Return the parameters without a value."""
     return ", ".join(collapse_groups(calibration.observability.unobservable)) or "none"
 
 
-def gains_beside(
+def compare_gains(
     ours: tuple[FloatArray, FloatArray], theirs: FloatArray, titles: tuple[str, str], digits: int
 ) -> str:
-    """Each entry of two gain matrices, and their difference in our standard deviations."""
+    """Return the entries of two gain matrices, and their differences over our std."""
     gain, std = ours
     rows = []
     for i, j in np.ndindex(3, 3):
-        mine, spread, other = (float(matrix[i, j]) for matrix in (gain, std, theirs))
+        our_value, spread, their_value = (float(matrix[i, j]) for matrix in (gain, std, theirs))
         rows.append(
             [
                 f"G {AXES[i]}{AXES[j]}",
-                f"{number(mine, digits)} ± {number(spread, digits)}",
-                number(other, digits),
-                number((mine - other) / spread, 2),
+                f"{number(our_value, digits)} ± {number(spread, digits)}",
+                number(their_value, digits),
+                number((our_value - their_value) / spread, 2),
             ]
         )
     return table(["entry", *titles, "difference / std"], rows)

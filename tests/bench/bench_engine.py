@@ -22,9 +22,9 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 from tests.hidden.truth.outside import SHAPES
-from tests.hidden.truth.programs import program_text
-from tests.hidden.truth.session import RigDraw, record, settings_of
-from tests.hidden.truth.shapes import hanger
+from tests.hidden.truth.programs import read_program_text
+from tests.hidden.truth.session import RigDraw, make_settings, record
+from tests.hidden.truth.shapes import make_shape_adder
 
 ROOT = Path(__file__).resolve().parents[2]
 PACKAGES = ("daemon", "solver", "firmware_protocol")
@@ -104,7 +104,12 @@ def make_recording(case: Case, path: Path) -> None:
     """Record a session of an emulated rig at `path`."""
     if case.shape is not None:
         draw = RigDraw(SEED, case.program)
-        record(draw, path, None, hanger(SHAPES[case.shape[0]], case.shape[1], settings_of(draw)))
+        record(
+            draw,
+            path,
+            None,
+            make_shape_adder(SHAPES[case.shape[0]], case.shape[1], make_settings(draw)),
+        )
         return
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
@@ -113,7 +118,7 @@ def make_recording(case: Case, path: Path) -> None:
         if case.rate_hz == FAST_HZ:
             rig = rig.replace("bandwidth_hz: 25.0", f"bandwidth_hz: {FAST_BANDWIDTH_HZ}")
         (folder / "rig.yaml").write_text(rig, encoding="utf-8")
-        (folder / "program.yaml").write_bytes(program_text(case.program))
+        (folder / "program.yaml").write_bytes(read_program_text(case.program))
         command = [str(Path(sys.executable).with_name("gyrorigd")), "record", "--simulated-time"]
         command += ["--config", str(folder / "rig.yaml"), "--seed", str(SEED)]
         command += ["--program", str(folder / "program.yaml"), "--out", str(folder / "out")]

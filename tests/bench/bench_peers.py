@@ -21,7 +21,7 @@ from pathlib import Path
 os.environ["OPENBLAS_NUM_THREADS"] = "1"  # before numpy: all times are for one thread
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
-from docs.measured.sessions import measured_folder
+from docs.measured.sessions import find_measured_folder
 from tests.bench.peers import factor_graph, figures, measured, turns
 from tests.bench.peers.recording import CROSS, SWEEPS
 
@@ -67,7 +67,7 @@ def print_simulated_tables(seeds: int) -> None:
 def print_measured_tables() -> None:
     """Print the tables of the measured recordings, or the reason without them."""
     try:
-        data = measured_folder()
+        data = find_measured_folder()
     except SystemExit as missing:
         print_line(f"\nomitted: measured recordings: {missing}")
         return

@@ -23,7 +23,7 @@ from typing import Any
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
-from tests.hidden.truth.draws import drawn, orders_of
+from tests.hidden.truth.draws import draw_session, make_requests
 from tests.hidden.truth.session import record
 
 from gyrorig_protocol.recording.reader import read_recording
@@ -38,16 +38,18 @@ ACCEPTED = (0, 4)  # exit status of `gyrorig twin`: the twin is written
 
 def check_session(seed: int, draws: int) -> dict[str, Any] | None:
     """Return what the check of one rig states; None if the draw has no effect."""
-    session = drawn(seed, "outside")
+    session = draw_session(seed, "outside")
     if session is None or not session.items:
         return None
-    rig = replace(session.rig, hide=orders_of(session.items) if session.more is None else ())
+    rig = replace(
+        session.rig, hide=make_requests(session.items) if session.extra_effects is None else ()
+    )
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         fitted = folder / "fitted.mcap"
-        first = record(rig, fitted, None, session.more)
+        first = record(rig, fitted, None, session.extra_effects)
         other = replace(rig, seed=rig.seed + SECOND_SESSION)
-        record(other, folder / "new.mcap", first.rig.truth, session.more)
+        record(other, folder / "new.mcap", first.rig.truth, session.extra_effects)
         words = [BIN / "gyrorig", "twin", fitted, "--out", folder / "twin"]
         written = subprocess.run(list(map(str, words)), check=False, capture_output=True, text=True)
         row: dict[str, Any] = {"seed": seed, "effect": session.items[0].name}

@@ -1,4 +1,4 @@
-"""The page of scores is checked with the scripts of docs/, which are no installed package."""
+"""Add the checkout to the path: tests of the page of scores use the scripts of docs/."""
 
 import sys
 from pathlib import Path

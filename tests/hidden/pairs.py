@@ -1,9 +1,9 @@
-"""How much of the joint effect of several causes their terms leave together, without noise.
+"""Measure the share of the joint effect of several causes that their terms leave, without noise.
 
-What `completeness` does for one cause. Causes on one rig are a chain, so their effect is not
-the sum of what each does alone: terms that are merely added leave a fifth of a gap's and a
-rounded ramp's. Terms are begun where the finder's exact refit puts them, the one that
-explains most first, the next beside it, and then fitted together.
+`completeness` does the same for one cause. Causes of one rig act in sequence, so their joint effect
+is not the sum of the separate effects. A sum of terms would leave a fifth of the effect of a gap
+with a rounded ramp. The start values of the terms are those of the solver's exact refit. The
+program adds the term with the largest gain first, and fits all terms together.
 
 Run: python tests/hidden/pairs.py [--program survey-40] [CAUSE[@PLACE]:SIZE,... ...]
 """
@@ -46,8 +46,8 @@ PAIRS = (
 )
 
 
-def completeness() -> ModuleType:
-    """Return the module for one cause; the tests' folders are no package."""
+def load_completeness() -> ModuleType:
+    """Return the module for one cause; the test folders are not a package."""
     path = Path(__file__).with_name("completeness.py")
     spec = importlib.util.spec_from_file_location("hidden_completeness", path)
     if spec is None or spec.loader is None:
@@ -58,28 +58,28 @@ def completeness() -> ModuleType:
     return sys.modules[spec.name]
 
 
-def left_share(
+def measure_residual_share(
     hidden: str, program: str = "survey-40", seed: int = SEED
 ) -> tuple[float, float, ConvergedFit]:
-    """Return the share of causes' joint energy that their terms leave, the energy, the fit.
+    """Return the share of the joint energy that the terms leave, the energy, and the fit.
 
     Args:
-        hidden: CAUSE[@PLACE][:SIZE] after a comma each.
+        hidden: CAUSE[@PLACE][:SIZE], with commas between causes.
         program: of config/programs.
-        seed: of the rig and of what is drawn of the causes.
+        seed: of the rig and of the causes.
     """
-    script = completeness()
+    completeness = load_completeness()
     causes = hidden.split(",")
-    floor = script.floor_of(program, None, seed)
-    with script.noise_held():
-        base = script._solved(program, None, seed, *causes)
-        fit = together(base, [name.partition(":")[0].partition("@")[0] for name in causes])
-    effect = script.energy(base) - floor
-    return (script.energy(fit) - floor) / effect, effect, fit
+    floor = completeness.measure_floor(program, None, seed)
+    with completeness.fix_noise():
+        base = completeness.record_and_fit(program, None, seed, *causes)
+        fit = fit_causes(base, [name.partition(":")[0].partition("@")[0] for name in causes])
+    effect = completeness.compute_energy(base) - floor
+    return (completeness.compute_energy(fit) - floor) / effect, effect, fit
 
 
-def together(base: ConvergedFit, causes: list[str]) -> ConvergedFit:
-    """Fit causes beside a base fit, from where the finder would begin."""
+def fit_causes(base: ConvergedFit, causes: list[str]) -> ConvergedFit:
+    """Fit causes after a base fit, from the start values of the solver."""
     solution, open_causes = base, list(causes)
     while open_causes:
         projection = NuisanceProjector.at_fit(solution)
@@ -107,16 +107,16 @@ def main() -> None:
     arguments = parser.parse_args()
     sys.stdout.write(f"{'causes':48} {'effect':>11} {'share':>8}  seconds  values\n")
     for hidden in arguments.causes or PAIRS:
-        begin = time.monotonic()
-        share, effect, fit = left_share(hidden, arguments.program)
-        words = " ".join(
+        start_s = time.monotonic()
+        share, effect, fit = measure_residual_share(hidden, arguments.program)
+        values_text = " ".join(
             f"{fitted_term.term.cause}.{name}={value:.4g}"
             for fitted_term in fit.fitted_terms
             for name, value in zip(value_names(fitted_term.term), fitted_term.values, strict=True)
         )
         sys.stdout.write(
             f"{hidden:48} {effect:11.1f} {share:8.3%} {'' if share <= GOAL else '*':1} "
-            f"{time.monotonic() - begin:6.1f}  {words}\n"
+            f"{time.monotonic() - start_s:6.1f}  {values_text}\n"
         )
         sys.stdout.flush()
 

@@ -1,7 +1,7 @@
-"""Every cause in the sensor and its clock: its term takes the whole of its effect.
+"""The term of every cause of the sensor and its clock explains its whole effect.
 
-Without noise nothing but what a term lacks is left; the thermal ones with a room that warms
-up and cools down, for a board's own warmth moves by 0.2 K in a short session only.
+Without noise the residual is the error of the term. The thermal causes need a room that warms up
+and cools down, because the board alone changes by only 0.2 K in a short session.
 """
 
 import importlib.util
@@ -13,8 +13,8 @@ import pytest
 from tests.support.quick_cases import quick_cases
 
 
-def _scorer() -> ModuleType:
-    """Return the scorer's module; the tests' folders are no package."""
+def _load_completeness() -> ModuleType:
+    """Return the module `completeness`; the test folders are not a package."""
     path = Path(__file__).with_name("completeness.py")
     spec = importlib.util.spec_from_file_location("hidden_completeness", path)
     if spec is None or spec.loader is None:
@@ -46,13 +46,13 @@ QUICK = ["clock_step", "dead_zone", "warm_up"]
 
 
 @pytest.mark.parametrize("cause", quick_cases(CAUSES, QUICK))
-def test_a_term_leaves_nothing_of_its_own_effect(cause: str) -> None:
-    scorer = _scorer()
-    assert scorer.left_share(cause) <= scorer.GOAL
+def test_a_term_explains_its_effect(cause: str) -> None:
+    completeness = _load_completeness()
+    assert completeness.measure_residual_share(cause) <= completeness.GOAL
 
 
 @pytest.mark.long
 @pytest.mark.parametrize("cause", quick_cases(["thermal_bias", "thermal_scale"], ["thermal_scale"]))
-def test_nor_do_the_thermal_ones_in_a_room_that_swings(cause: str) -> None:
-    scorer = _scorer()
-    assert scorer.left_share(cause, soak_k=SOAK_K) <= scorer.GOAL
+def test_a_thermal_term_explains_its_effect_at_varying_room_temperature(cause: str) -> None:
+    completeness = _load_completeness()
+    assert completeness.measure_residual_share(cause, soak_k=SOAK_K) <= completeness.GOAL

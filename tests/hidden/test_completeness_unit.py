@@ -1,4 +1,4 @@
-"""Each cause of the unit and its mount takes up its own effect, where there is no noise."""
+"""The term of every cause of the unit and its mount explains its effect, without noise."""
 
 import importlib.util
 import sys
@@ -9,8 +9,8 @@ import pytest
 from tests.support.quick_cases import quick_cases
 
 
-def _completeness() -> ModuleType:
-    """The scorer beside this file, which meets both sides in files alone."""
+def _load_completeness() -> ModuleType:
+    """Return the module `completeness`; the test folders are not a package."""
     name = "hidden_completeness"
     if name not in sys.modules:
         path = Path(__file__).with_name("completeness.py")
@@ -22,8 +22,8 @@ def _completeness() -> ModuleType:
     return sys.modules[name]
 
 
-completeness = _completeness()
-LEAST = 20.0  # energy of an effect that can be seen at all
+completeness = _load_completeness()
+MIN_EFFECT = 20.0  # energy of a visible effect
 CASES = [
     ("axis_nonorthogonality", None, None),
     ("backlash", "pan", None),
@@ -51,9 +51,9 @@ QUICK = [("backlash", "pan", None), ("eccentricity", "tilt", None), ("lost_steps
 
 
 @pytest.mark.parametrize(("cause", "place", "size"), quick_cases(CASES, QUICK))
-def test_its_term_leaves_next_to_nothing(cause: str, place: str | None, size: float | None) -> None:
-    energies = completeness.energies(cause, size, place)
-    assert energies.effect > LEAST
+def test_a_term_explains_its_effect(cause: str, place: str | None, size: float | None) -> None:
+    energies = completeness.measure_energies(cause, size, place)
+    assert energies.effect > MIN_EFFECT
     assert energies.share <= completeness.GOAL
 
 
@@ -63,6 +63,6 @@ def test_its_term_leaves_next_to_nothing(cause: str, place: str | None, size: fl
         [("acceleration_error", None), ("step_resolution", "pan")], [("acceleration_error", None)]
     ),
 )
-def test_what_the_base_takes_up_leaves_nothing(cause: str, place: str | None) -> None:
-    # The unit's answers show its true ramps, and the gain takes pan's step: no residual.
-    assert abs(completeness.energies(cause, None, place).effect) < 1.0
+def test_the_base_model_absorbs_these_effects(cause: str, place: str | None) -> None:
+    # The replies of the unit contain its true ramps, and the gain absorbs the step size of pan.
+    assert abs(completeness.measure_energies(cause, None, place).effect) < 1.0

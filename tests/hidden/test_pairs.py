@@ -1,7 +1,7 @@
-"""Two causes at once: fitted together they take the whole of what both do together.
+"""The terms of two causes explain their joint effect.
 
-The emulated rig puts causes one behind the other; terms that were added up left a gap 35 %
-too small where the ramps were rounded. The full table: `python tests/hidden/pairs.py`.
+Causes of the emulated rig act in sequence. With a sum of terms, the fitted gap was 35 % too small
+under rounded ramps. `python tests/hidden/pairs.py` prints the full table.
 """
 
 import importlib.util
@@ -14,7 +14,7 @@ import pytest
 pytestmark = pytest.mark.long
 
 
-def _pairs() -> ModuleType:
+def _load_pairs() -> ModuleType:
     path = Path(__file__).with_name("pairs.py")
     spec = importlib.util.spec_from_file_location("hidden_pairs", path)
     if spec is None or spec.loader is None:
@@ -34,9 +34,9 @@ def _pairs() -> ModuleType:
         ("acceleration_error:0.02,base_speed_jump:0.05", "base_speed_jump.speed.pan", 0.05),
     ],
 )
-def test_two_leave_nothing_of_what_both_do(hidden: str, name: str, size: float | None) -> None:
-    pairs = _pairs()
-    share, _, fit = pairs.left_share(hidden)
+def test_two_terms_explain_the_joint_effect(hidden: str, name: str, size: float | None) -> None:
+    pairs = _load_pairs()
+    share, _, fit = pairs.measure_residual_share(hidden)
     assert share <= pairs.GOAL
     values = dict(zip(fit.names, fit.estimate, strict=True))
     if size is not None:

@@ -1,4 +1,4 @@
-"""The truth side keeps its word: nothing of the solver in it, sizes that fit, sealed answers."""
+"""Test the truth side: no import of the solver, right sizes, sealed answers."""
 
 import ast
 import hashlib
@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from tests.hidden.truth import make
-from tests.hidden.truth.detectable import SIZES, detectable_of, sizes_of
+from tests.hidden.truth.detectable import SIZES, compute_detectable, count_sizes
 from tests.hidden.truth.draws import (
     LINES,
     PROGRAMS,
@@ -17,14 +17,14 @@ from tests.hidden.truth.draws import (
     SIZED,
     Item,
     Session,
-    drawn,
-    ladder_turn,
-    shape_sized,
-    sizer_of,
+    choose_ladder_case,
+    draw_session,
+    find_shape_size,
+    make_sizer,
 )
 from tests.hidden.truth.outside import SHAPES
-from tests.hidden.truth.programs import program_text, reversed_steps
-from tests.hidden.truth.session import ROOT, RigDraw, record, settings_of
+from tests.hidden.truth.programs import read_program_text, reverse_steps
+from tests.hidden.truth.session import ROOT, RigDraw, make_settings, record
 from tests.hidden.truth.sizing import COUNTED, Sizer
 from tests.support.noncentrality import detectable_noncentrality
 
@@ -42,8 +42,8 @@ SHARED = tuple(
 )
 
 
-def imported(file: Path) -> set[str]:
-    """Every module that a file names in an import."""
+def list_imports(file: Path) -> set[str]:
+    """Return the modules that a file imports."""
     names: set[str] = set()
     for node in ast.walk(ast.parse(file.read_text())):
         if isinstance(node, ast.Import):
@@ -53,21 +53,24 @@ def imported(file: Path) -> set[str]:
     return names
 
 
-def test_the_truth_imports_nothing_of_the_finder() -> None:
+def test_the_truth_does_not_import_the_solver() -> None:
     shared = tuple(f"tests.support.{file.stem}" for file in SHARED)
-    ours = ("gyrorig_daemon", "gyrorig_protocol", "tests.hidden.truth", *shared)
+    allowed = ("gyrorig_daemon", "gyrorig_protocol", "tests.hidden.truth", *shared)
     for file in (*TRUTH.rglob("*.py"), *SHARED):
-        for module in imported(file):
+        for module in list_imports(file):
             inside = module.startswith(("gyrorig", "tests"))
-            assert not inside or module.startswith(ours) or module == "tests.hidden", (file, module)
+            assert not inside or module.startswith(allowed) or module == "tests.hidden", (
+                file,
+                module,
+            )
 
 
-def test_the_finder_imports_nothing_of_the_truth() -> None:
+def test_the_solver_does_not_import_the_truth() -> None:
     for file in (ROOT / "solver").rglob("*.py"):
-        assert not any(m.startswith(("gyrorig_daemon", "tests")) for m in imported(file)), file
+        assert not any(m.startswith(("gyrorig_daemon", "tests")) for m in list_imports(file)), file
 
 
-def test_no_order_of_a_user_reaches_what_is_outside_the_catalogue() -> None:
+def test_users_cannot_hide_a_shape_outside_the_catalogue() -> None:
     assert not SHAPES.keys() & CAUSES.keys()
     assert {shape.near for shape in SHAPES.values() if shape.near} <= CAUSES.keys()
     assert len([shape for shape in SHAPES.values() if shape.near is None]) >= 8
@@ -79,16 +82,20 @@ def test_no_order_of_a_user_reaches_what_is_outside_the_catalogue() -> None:
 
 def test_the_same_seed_makes_the_same_bytes(tmp_path: Path) -> None:
     for name in ("first", "second"):
-        session = drawn(4, "nulls")
+        session = draw_session(4, "nulls")
         assert session is not None
-        make.make(tmp_path / name, replace(session, rig=replace(session.rig, program="quick")))
+        make.make_case(tmp_path / name, replace(session, rig=replace(session.rig, program="quick")))
     first, second = ((tmp_path / name) for name in ("first", "second"))
     for name in ("answer.json", "sealed.txt", "recording.mcap"):
         assert (first / name).read_bytes() == (second / name).read_bytes(), name
 
 
-def test_draws_depend_on_the_seed_alone() -> None:
-    first, again, other = drawn(300_003, "mixed"), drawn(300_003, "mixed"), drawn(300_004, "mixed")
+def test_draws_depend_only_on_the_seed() -> None:
+    first, again, other = (
+        draw_session(300_003, "mixed"),
+        draw_session(300_003, "mixed"),
+        draw_session(300_004, "mixed"),
+    )
     assert first == again
     assert first != other
 
@@ -99,9 +106,9 @@ def test_the_answer_is_sealed_and_not_in_the_recording(tmp_path: Path) -> None:
         "pan",
         5e-4,
         3.0,
-        sizer_of(RIG).visibility(InjectionRequest("backlash", "pan", 5e-4)),
+        make_sizer(RIG).measure_visibility(InjectionRequest("backlash", "pan", 5e-4)),
     )
-    sealed = make.make(tmp_path, Session("mixed", "one", RIG, (item,)))
+    sealed = make.make_case(tmp_path, Session("mixed", "one", RIG, (item,)))
     data = (tmp_path / "answer.json").read_bytes()
     assert (
         hashlib.sha256(data).hexdigest() == sealed == (tmp_path / "sealed.txt").read_text().strip()
@@ -118,83 +125,95 @@ def test_the_answer_is_sealed_and_not_in_the_recording(tmp_path: Path) -> None:
 
 
 @pytest.mark.long
-def test_a_rung_is_met_by_the_session_that_comes_of_it(tmp_path: Path) -> None:
-    # nearly all of it is absorbed: what is left hangs on how the samples fall on the edges
-    sized = sizer_of(RIG).size_of_cause("s_curve", "", 2.0, 1.0)
+def test_the_recorded_session_meets_its_rung(tmp_path: Path) -> None:
+    # The calibration absorbs most of the effect. The rest depends on the sample times at the edges.
+    sized = make_sizer(RIG).find_cause_size("s_curve", "", 2.0, 1.0)
     assert sized is not None
-    item = Item("s_curve", "", sized.size, 2.0, sized.seen)
-    make.make(tmp_path, Session("ladder", "one", RIG, (item,), rung=2.0))
+    item = Item("s_curve", "", sized.size, 2.0, sized.visibility)
+    make.make_case(tmp_path, Session("ladder", "one", RIG, (item,), rung=2.0))
     answer = json.loads((tmp_path / "answer.json").read_text())
     (cause,) = answer["causes"]
     assert cause["times_detectable"] == pytest.approx(2.0, rel=0.03)
-    with np.load(tmp_path / "rates.npz") as file:  # what it would be without noise
+    with np.load(tmp_path / "rates.npz") as file:  # rates without noise
         assert np.any(file["GY80-1.hidden_rad_s"] != file["GY80-1.aligned_rad_s"])
-    order = InjectionRequest("s_curve", "", cause["size"]["value"])
-    course = record(replace(RIG, hide=(order,)), tmp_path / "again.mcap").course
-    seen = Sizer(settings_of(RIG), course).visibility(order)
-    assert seen.noncentrality == pytest.approx(cause["noncentrality"], rel=1e-9)
+    request = InjectionRequest("s_curve", "", cause["size"]["value"])
+    course = record(replace(RIG, hide=(request,)), tmp_path / "again.mcap").course
+    visibility = Sizer(make_settings(RIG), course).measure_visibility(request)
+    assert visibility.noncentrality == pytest.approx(cause["noncentrality"], rel=1e-9)
 
 
 @pytest.mark.parametrize("name", ["clock_step", "saturation"])
 def test_a_size_is_as_visible_as_wanted(name: str) -> None:
-    sized = sizer_of(RIG).size_of_cause(name, "", 3.0, 1.0)
+    sized = make_sizer(RIG).find_cause_size(name, "", 3.0, 1.0)
     assert sized is not None
-    assert sized.seen.noncentrality == pytest.approx(9.0 * detectable_of(name), rel=0.05)
-    assert sizer_of(RIG).visibility(InjectionRequest(name, "", sized.size)) == sized.seen
+    assert sized.visibility.noncentrality == pytest.approx(9.0 * compute_detectable(name), rel=0.05)
+    assert (
+        make_sizer(RIG).measure_visibility(InjectionRequest(name, "", sized.size))
+        == sized.visibility
+    )
 
 
-def test_what_scatters_only_has_a_size_too() -> None:
-    sizer = sizer_of(RIG)
-    small, large = (sizer.size_of_cause("sample_jitter", "", k, 1.0) for k in (1.0, 2.0))
+def test_an_effect_on_the_scatter_has_a_size() -> None:
+    sizer = make_sizer(RIG)
+    small, large = (sizer.find_cause_size("sample_jitter", "", k, 1.0) for k in (1.0, 2.0))
     assert small is not None
     assert large is not None
     assert large.size == pytest.approx(np.sqrt(2.0) * small.size, rel=0.02)
 
 
 @pytest.mark.parametrize("name", sorted(SHAPES))
-def test_every_shape_outside_the_catalogue_shows(name: str) -> None:
+def test_every_shape_outside_the_catalogue_is_visible(name: str) -> None:
     rig = replace(RIG, soak_k=20.0) if SHAPES[name].needs_soak else RIG
-    sized = shape_sized(sizer_of(rig), SHAPES[name], rig, 3.0)
+    sized = find_shape_size(make_sizer(rig), SHAPES[name], rig, 3.0)
     assert sized is not None
-    assert sized.seen.noncentrality == pytest.approx(9.0 * detectable_noncentrality(), rel=0.05)
+    assert sized.visibility.noncentrality == pytest.approx(
+        9.0 * detectable_noncentrality(), rel=0.05
+    )
 
 
-def test_a_ladder_goes_round_all_causes_before_the_next_rung() -> None:
-    many = len(SIZED) + len(COUNTED)
-    turns = [ladder_turn(number, 2) for number in range(4 * many)]
-    assert {name for name, _, _ in turns[:many]} == {*SIZED, *COUNTED}
-    assert [turns[k * many][1:] for k in range(4)] == [(0, False), (1, False), (0, True), (1, True)]
-    assert len(set(turns)) == 4 * many
+def test_a_ladder_has_all_causes_before_the_next_rung() -> None:
+    cause_count = len(SIZED) + len(COUNTED)
+    turns = [choose_ladder_case(number, 2) for number in range(4 * cause_count)]
+    assert {name for name, _, _ in turns[:cause_count]} == {*SIZED, *COUNTED}
+    assert [turns[k * cause_count][1:] for k in range(4)] == [
+        (0, False),
+        (1, False),
+        (0, True),
+        (1, True),
+    ]
+    assert len(set(turns)) == 4 * cause_count
 
 
-def test_one_size_is_found_as_a_two_sided_test_finds_it() -> None:
-    assert detectable_of("backlash") == pytest.approx(detectable_noncentrality(), rel=1e-6)
-    assert detectable_of("bias_step") == pytest.approx(24.80, abs=0.01)  # chi-square, 3
+def test_the_detectable_size_is_that_of_a_two_sided_test() -> None:
+    assert compute_detectable("backlash") == pytest.approx(detectable_noncentrality(), rel=1e-6)
+    assert compute_detectable("bias_step") == pytest.approx(24.80, abs=0.01)  # chi-square, 3
     assert (
-        detectable_of("g_sensitivity") > detectable_of("eccentricity") > detectable_of("worm_error")
+        compute_detectable("g_sensitivity")
+        > compute_detectable("eccentricity")
+        > compute_detectable("worm_error")
     )
     assert set(SIZES) <= set(SIZED)
 
 
 @pytest.mark.parametrize("name", sorted(SIZED))
-def test_sizes_are_counted_as_the_rig_draws_them(name: str) -> None:
+def test_the_number_of_sizes_is_that_of_the_rig(name: str) -> None:
     shapes = {"at", "after", "lag", "time_constant", "frequency", "damping", "lag_at_power_up",
               "mean_lag"}  # fmt: skip
-    order = InjectionRequest(name, "", CAUSES[name].typical)
-    (hidden,) = sample_rig_truth(replace(settings_of(RIG), injections=(order,))).injected
+    request = InjectionRequest(name, "", CAUSES[name].typical)
+    (hidden,) = sample_rig_truth(replace(make_settings(RIG), injections=(request,))).injected
     drawn_sizes = sum(
         np.size(parameter.value)
         for key, parameter in hidden.parameters.items()
         if key not in shapes
     )
-    # three of the nine of gravity's matrix never show: the stage tilts about one axis
-    assert sizes_of(name) == drawn_sizes - (3 if name == "g_sensitivity" else 0)
+    # Three of the nine numbers of the gravity matrix are not observable with one tilt axis.
+    assert count_sizes(name) == drawn_sizes - (3 if name == "g_sensitivity" else 0)
 
 
 @pytest.mark.parametrize("name", ["survey-40", "survey-130", "quick"])
-def test_a_program_run_backwards_takes_as_long_and_back_again_is_itself(name: str) -> None:
-    steps = parse_yaml(program_text(name), name)["steps"]
-    back = parse_program(program_text(f"{name}-backwards"), name)
-    forth = parse_program(program_text(name), name)
+def test_a_reversed_program_has_the_same_duration_and_reverses_back(name: str) -> None:
+    steps = parse_yaml(read_program_text(name), name)["steps"]
+    back = parse_program(read_program_text(f"{name}-backwards"), name)
+    forth = parse_program(read_program_text(name), name)
     assert estimate_session_s(back) == pytest.approx(estimate_session_s(forth))
-    assert reversed_steps(reversed_steps(steps)) == steps
+    assert reverse_steps(reverse_steps(steps)) == steps

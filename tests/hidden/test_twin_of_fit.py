@@ -1,7 +1,7 @@
-"""The values of a fit, made into a twin, give the rates of the truth."""
+"""The twin from the values of a fit has the rates of the truth."""
 
 import pytest
-from tests.hidden.twin_of_fit import share_of
+from tests.hidden.twin_of_fit import measure_share
 
 pytestmark = pytest.mark.long
 
@@ -14,4 +14,4 @@ LARGEST_SHARE = 0.005  # of the effect
      "axis_nonorthogonality", "backlash@tilt"],
 )  # fmt: skip
 def test_the_twin_of_a_fit_has_the_effect_of_the_truth(hidden: str) -> None:
-    assert share_of(hidden).share < LARGEST_SHARE
+    assert measure_share(hidden).share < LARGEST_SHARE

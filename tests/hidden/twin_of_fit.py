@@ -1,17 +1,17 @@
-"""Noise-free rates of the twin of a fit, beside those of the truth, for each cause.
+"""Compare the noise-free rates of the twin of a fit with those of the truth, for each cause.
 
-A session is emulated without noise and with one cause hidden. The solver fits the base model and
-the cause's term to it, as in `completeness`. The values of this fit become a twin, and the twin's
-noise-free rates under the same commands are compared with those of the truth:
+The program emulates a session without noise and with one hidden cause. The solver fits the base
+model and the term of the cause, as in `completeness`. The program makes a twin from the values of
+this fit. It compares the noise-free rates of twin and truth under the same commands:
 
     share = rms(truth - twin - rest) / rms(truth - truth without the cause),
 
-where the rest is truth minus twin of the same session with nothing hidden: what a fit misses of any
-session, above all by the rounded answers of the unit. It is the test of the conventions between
-findings and emulator: names, signs, units, and what the base model absorbs. `rest` in the table is
-the rms of the rest over that of the effect.
+The rest is truth minus twin of the same session without a hidden cause. It is the error of a fit in
+any session, mostly from the rounded replies of the unit. The program tests the conventions between
+findings and emulator: names, signs, units, and the part that the base model absorbs. The column
+`rest` is the rms of the rest relative to that of the effect.
 
-This is a scorer's module: truth and finder meet here alone.
+This is a module of the scorer: only here do truth and solver meet.
 
 Run: python tests/hidden/twin_of_fit.py [--program survey-40] [CAUSE[@PLACE][:SIZE] ...]
 """
@@ -31,14 +31,21 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
-from tests.hidden.completeness import SAME, SOAKED, _exact, extended, fitted, noise_held
+from tests.hidden.completeness import (
+    SAME_EFFECT,
+    SOAK_K,
+    fit_cause,
+    fit_without_noise,
+    fix_noise,
+    restore_unrounded,
+)
 from tests.hidden.truth.session import (
     BOARD,
     ORIGIN_NS,
     RecordedSession,
     RigDraw,
+    make_settings,
     record,
-    settings_of,
 )
 
 from gyrorig_daemon.emulator.emulated_rig import EmulatedRig
@@ -61,14 +68,14 @@ FloatArray = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class TwinShare:
-    """How far a twin is from the truth, over the effect of the cause."""
+    """Difference between a twin and the truth, relative to the effect of the cause."""
 
     share: float
-    rest: float  # with nothing hidden
+    rest: float  # without a hidden cause
     values: dict[str, float]
 
 
-def share_of(hidden: str, program: str = "survey-40", seed: int = SEED) -> TwinShare:
+def measure_share(hidden: str, program: str = "survey-40", seed: int = SEED) -> TwinShare:
     """Return the share of a cause's effect that the twin of its fit misses.
 
     Args:
@@ -77,30 +84,30 @@ def share_of(hidden: str, program: str = "survey-40", seed: int = SEED) -> TwinS
         seed: of the rig.
 
     Raises:
-        ValueError: the cause could not be fitted.
+        ValueError: the solver could not fit the cause.
     """
     name = hidden.partition(":")[0].partition("@")[0]
     if ":" not in hidden:
         hidden = f"{hidden}:{CAUSES[name].typical!r}"
-    soak_k = SOAKED.get(name, 0.0)
-    difference, effect, values = _difference(hidden, program, soak_k, seed)
-    rest, _, _ = _rest(program, soak_k, seed)
+    soak_k = SOAK_K.get(name, 0.0)
+    difference, effect, values = _measure_difference(hidden, program, soak_k, seed)
+    rest, _, _ = _measure_rest(program, soak_k, seed)
     count = min(len(difference), len(rest))
-    size, missed, rest_size = (
+    effect_rms, error_rms, rest_rms = (
         float(np.sqrt((part**2).mean()))
         for part in (effect, difference[:count] - rest[:count], rest)
     )
-    return TwinShare(missed / size, rest_size / size, values)
+    return TwinShare(error_rms / effect_rms, rest_rms / effect_rms, values)
 
 
 @cache
-def _rest(
+def _measure_rest(
     program: str, soak_k: float, seed: int
 ) -> tuple[FloatArray, FloatArray, dict[str, float]]:
-    return _difference("", program, soak_k, seed)
+    return _measure_difference("", program, soak_k, seed)
 
 
-def _difference(
+def _measure_difference(
     hidden: str, program: str, soak_k: float, seed: int
 ) -> tuple[FloatArray, FloatArray, dict[str, float]]:
     """Return truth minus twin, truth minus truth without the cause, (n, 3), and fitted values."""
@@ -110,24 +117,28 @@ def _difference(
         path = Path(folder) / "session.mcap"
         session = record(draw, path)
         recording = read_recording(path)
-        rates = compare_noise_free(session.rig, session.course.until_ns)[BOARD]
+        rates = compare_noise_free(session.rig, session.course.end_ns)[BOARD]
         samples = load_samples(recording, BOARD)
-        with noise_held():
-            fit = fitted(recording, samples, _exact(samples, rates.hidden_rad_s))
+        with fix_noise():
+            fit = fit_without_noise(
+                recording, samples, restore_unrounded(samples, rates.hidden_rad_s)
+            )
             if hidden:
                 name, _, place = hidden.partition(":")[0].partition("@")
-                fit = extended(fit, SAME.get((name, place or None), name))
+                fit = fit_cause(fit, SAME_EFFECT.get((name, place or None), name))
         anchor_ns = int(recording.metadata["gyrorig"]["anchor_utc_ns"])
         zero_s = (samples.origin_ns - anchor_ns) * 1e-9
-    twin, values = _twin(fit, samples, session, zero_s)
+    twin, values = _make_twin(fit, samples, session, zero_s)
     settings = replace(
-        settings_of(draw), injections=(), session_s=(zero_s + float(samples.time_s[0]), 0.0)
+        make_settings(draw), injections=(), session_s=(zero_s + float(samples.time_s[0]), 0.0)
     )
-    made = make_twin_rig(twin, settings)
+    twin_rig = make_twin_rig(twin, settings)
     course = session.course
-    replayed = RigTwin(made.settings, ORIGIN_NS, course.orders, course.until_ns, made.plain)
-    rig = EmulatedRig(made.settings, ORIGIN_NS, made.truth)
-    twin_rates = replayed.rates(rig)[BOARD]
+    twin_simulator = RigTwin(
+        twin_rig.settings, ORIGIN_NS, course.commands, course.end_ns, twin_rig.plain
+    )
+    rig = EmulatedRig(twin_rig.settings, ORIGIN_NS, twin_rig.truth)
+    twin_rates = twin_simulator.rates(rig)[BOARD]
     first_s, last_s = course.span_s
     inside = (rates.time_s > first_s) & (rates.time_s < last_s)
     count = min(len(twin_rates.hidden_rad_s), len(rates.hidden_rad_s))
@@ -140,10 +151,10 @@ def _difference(
     )
 
 
-def _twin(
+def _make_twin(
     fit: ConvergedFit, samples: GyroSamples, session: RecordedSession, zero_s: float
 ) -> tuple[Twin, dict[str, float]]:
-    """Return the section of a fit, with the rest of the board from the truth."""
+    """Return the twin of a fit, with the other data of the board from the truth, and its values."""
     truth = session.rig.board_truth(BOARD).imu
     base = fit.estimate[:BASE_VALUES]
     times_s = np.arange(0.0, float(samples.time_s[-1]) + zero_s + 1.0, 1.0)
@@ -152,12 +163,12 @@ def _twin(
     )
     recorded_s = np.linspace(float(samples.time_s[0]), float(samples.time_s[-1]), 500) + zero_s
     values: dict[str, float] = {}
-    causes: list[dict[str, Any]] = []
+    cause_entries: list[dict[str, Any]] = []
     for term in fit.fitted_terms:
         values = dict(zip(value_names(term.term), map(float, term.values), strict=True))
         is_on_board = CAUSES[term.term.cause].is_on_board()
-        parameters = {name: _quantity(value) for name, value in values.items()}
-        causes.append(
+        parameters = {name: _make_quantity(value) for name, value in values.items()}
+        cause_entries.append(
             {
                 "cause": term.term.cause,
                 "where": "all",
@@ -179,11 +190,11 @@ def _twin(
         ],
         "boards": {
             BOARD: {
-                "gain": _quantity(base[:9].reshape(3, 3).tolist()),
-                "bias": _quantity(base[9:12].tolist()),
-                "time_offset": _quantity(float(base[12])),
-                "odr": _quantity(truth.odr_hz),
-                "bandwidth": _quantity(session.rig.settings.boards[0].bandwidth_hz),
+                "gain": _make_quantity(base[:9].reshape(3, 3).tolist()),
+                "bias": _make_quantity(base[9:12].tolist()),
+                "time_offset": _make_quantity(float(base[12])),
+                "odr": _make_quantity(truth.odr_hz),
+                "bandwidth": _make_quantity(session.rig.settings.boards[0].bandwidth_hz),
                 "temperature": {
                     "time_s": (times_s - zero_s).tolist(),
                     "degc": temperature.degc(times_s).tolist(),
@@ -191,12 +202,12 @@ def _twin(
                 },
             }
         },
-        "causes": causes,
+        "causes": cause_entries,
     }
     return msgspec.convert(plain, Twin), values
 
 
-def _quantity(value: object) -> dict[str, Any]:
+def _make_quantity(value: object) -> dict[str, Any]:
     return {"value": value, "std": None, "unit": "1"}
 
 
@@ -208,21 +219,21 @@ def main() -> None:
     parser.add_argument("causes", nargs="*", metavar="CAUSE[@PLACE][:SIZE]")
     arguments = parser.parse_args()
     known = catalogue()
-    wanted = arguments.causes or [
+    causes = arguments.causes or [
         f"{name}@{place}" if place else name
         for name, cause in CAUSES.items()
         if name in known and known[name].kind == "effect"
         for place in (cause.components if cause.part == "ptu" else ("",)) or ("",)
     ]
     sys.stdout.write(f"{'cause':32} {'share':>9} {'rest':>9}  values\n")
-    for hidden in wanted:
+    for hidden in causes:
         try:
-            result = share_of(hidden, arguments.program, arguments.seed)
+            result = measure_share(hidden, arguments.program, arguments.seed)
         except (ValueError, RuntimeError) as fault:
             sys.stdout.write(f"{hidden:32} {fault}\n")
             continue
-        words = " ".join(f"{name}={value:.4g}" for name, value in result.values.items())
-        sys.stdout.write(f"{hidden:32} {result.share:9.3%} {result.rest:9.3%}  {words}\n")
+        values_text = " ".join(f"{name}={value:.4g}" for name, value in result.values.items())
+        sys.stdout.write(f"{hidden:32} {result.share:9.3%} {result.rest:9.3%}  {values_text}\n")
         sys.stdout.flush()
 
 

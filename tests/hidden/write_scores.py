@@ -1,4 +1,4 @@
-"""Put the figures of the long tier into docs/discovery-scores.md, or check that they are there.
+"""Write the figures of the long tier to docs/discovery-scores.md, or check them.
 
     python tests/hidden/write_scores.py            write every block and the picture
     python tests/hidden/write_scores.py --check    change nothing; 1 if a block differs
@@ -41,53 +41,55 @@ def read_independent() -> JudgedCases:
 
 
 @cache
-def measured() -> list[once.Multiplicity]:
-    """Return the effective number of trials of a search, as `multiplicity.py` measured it."""
+def read_multiplicity() -> list[once.Multiplicity]:
+    """Return the effective numbers of trials of a search that `multiplicity.py` measured."""
     return once.read(MULTIPLICITY)
 
 
-def picture() -> str:
+def make_picture() -> str:
     """Return the confusion matrix as SVG."""
     return confusion_picture(read_judged().outcomes)
 
 
 BLOCKS: dict[str, Block] = {
     "cases": lambda: tables.cases(read_judged().outcomes),
-    "reached": lambda: tables.reached(read_judged().outcomes),
+    "reached": lambda: tables.session_counts(read_judged().outcomes),
     "goals": lambda: tables.goals(
-        read_judged().outcomes, read_judged().gaps, read_judged().bounds, measured()
+        read_judged().outcomes, read_judged().gaps, read_judged().bounds, read_multiplicity()
     ),
     "independent": lambda: simulators.compare_simulators(
         read_judged().outcomes, read_independent().outcomes
     ),
-    "nulls": lambda: tables.nulls(read_judged().outcomes),
-    "looks": lambda: once.counted(measured()),
-    "once": lambda: once.table_text(measured()),
+    "nulls": lambda: tables.false_alarms(read_judged().outcomes),
+    "looks": lambda: once.tests_table(read_multiplicity()),
+    "once": lambda: once.table_text(read_multiplicity()),
     "causes": lambda: tables.causes(read_judged().outcomes),
-    "confused": lambda: tables.confused(read_judged().outcomes),
+    "confused": lambda: tables.wrong_names(read_judged().outcomes),
     "inseparable": lambda: tables.inseparable(read_judged().bounds),
     "shapes": lambda: tables.shapes(read_judged().outcomes),
-    "blind": lambda: tables.blind(read_judged().outcomes),
+    "blind": lambda: tables.unobservable(read_judged().outcomes),
     "rigs": lambda: rigs.rigs_table(read_judged().outcomes),
-    "many": lambda: tables.many(read_judged().outcomes),
-    "gaps": lambda: tables.gaps(read_judged().gaps),
+    "many": lambda: tables.several_causes(read_judged().outcomes),
+    "gaps": lambda: tables.oracle_gaps(read_judged().gaps),
     "complete": lambda: complete.table_text(complete.read(COMPLETENESS)),
     "reliability": lambda: reliability.table_text(
         [each for outcome in read_judged().outcomes for each in outcome.beliefs]
     ),
-    "covered": lambda: tables.covered(read_judged().outcomes),
+    "covered": lambda: tables.coverage(read_judged().outcomes),
     "harm": lambda: tables.harm(read_judged().outcomes),
-    "seconds": lambda: tables.seconds(read_judged().outcomes),
+    "seconds": lambda: tables.durations(read_judged().outcomes),
 }
 
 
 def main() -> int:
-    """Write or check page and picture; the exit code."""
-    parser = argparse.ArgumentParser(description="figures of docs/discovery-scores.md")
-    parser.add_argument("--check", action="store_true", help="change nothing, 1 if it differs")
+    """Write the page and the picture, or check the page; return the exit code."""
+    parser = argparse.ArgumentParser(description="Write the figures of docs/discovery-scores.md.")
+    parser.add_argument(
+        "--check", action="store_true", help="change nothing; exit code 1 if a block differs"
+    )
     options = parser.parse_args()
     if not options.check:
-        PICTURE.write_text(picture(), encoding="utf-8")
+        PICTURE.write_text(make_picture(), encoding="utf-8")
     return write_or_check(DOCUMENT, BLOCKS, options.check, "python tests/hidden/write_scores.py")
 
 

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 from docs.markdown import number, table
 from docs.measured import held_out_moves, turn_sets
-from docs.measured.attitude_sets import SAME_UNIT, rest_bias
+from docs.measured.attitude_sets import SAME_UNIT, compute_rest_bias
 from docs.measured.sessions import COMMANDS, LoadedRecording, MeasuredSets, run_all
 from scipy.ndimage import gaussian_filter1d
 from scipy.spatial.transform import Rotation
@@ -39,7 +39,7 @@ def import_sets(data: Path, folder: Path) -> MeasuredSets:
 
 def compare_motion_capture(measured: MeasuredSets) -> str:
     """Return the held-out rotation errors of all ordered pairs of trials of one unit."""
-    loaded = {name: measured.load(name) for unit in SAME_UNIT for name in unit}
+    loaded = {name: measured.load_recording(name) for unit in SAME_UNIT for name in unit}
     pairs = [pair for unit in SAME_UNIT for pair in permutations(unit, 2)]
     methods: dict[str, Callable[[LoadedRecording], FloatArray]] = {
         "raw gyro": lambda _: UNCALIBRATED,
@@ -61,14 +61,14 @@ def compare_motion_capture(measured: MeasuredSets) -> str:
 
 def compare_gravity(measured: MeasuredSets) -> str:
     """Return the errors of held-out moves, with the published result and the method of imu_tk."""
-    return held_out_moves.held_out(measured)
+    return held_out_moves.move_errors(measured)
 
 
 def compare_hand_turns(measured: MeasuredSets) -> str:
     """Return the difference between the gains of imucal and of our fit on a session of imucal."""
-    loaded = measured.load("ferraris")
+    loaded = measured.load_recording("ferraris")
     ours = fit_turns([(loaded.samples, TurnReference(loaded.turns, loaded.rests))])
-    imucal_gain, _ = turn_sets.imucal_result(measured)
+    imucal_gain, _ = turn_sets.compute_imucal_result(measured)
     difference = float(np.abs(ours.gain - imucal_gain).max())
     std = float(ours.gain_std.max())
     return (
@@ -93,9 +93,11 @@ def _rotation_error_deg(loaded: LoadedRecording, gain: FloatArray) -> float:
     """Return the rms rotation error with a gain, a time offset and the bias of the rests."""
     if loaded.attitude is None:
         raise ValueError(f"{loaded.samples.board} has no reference attitude")
-    rate = (loaded.samples.rate_rad_s - rest_bias(loaded)) @ np.linalg.inv(gain[:9].reshape(3, 3)).T
+    rate = (loaded.samples.rate_rad_s - compute_rest_bias(loaded)) @ np.linalg.inv(
+        gain[:9].reshape(3, 3)
+    ).T
     time_s = loaded.samples.time_s - np.nan_to_num(gain[12])
-    moving = ~loaded.at_rest(loaded.attitude.time_s)
+    moving = ~loaded.make_rest_mask(loaded.attitude.time_s)
     error = window_rotation_error(time_s, rate, loaded.attitude, WINDOW_S, moving)
     return float(np.degrees(error.rms_rad))
 
@@ -124,7 +126,7 @@ def _make_table(loaded: LoadedRecording) -> Table:
         raw_rad_s=samples.rate_rad_s,
         measured_rad_s=gaussian_filter1d(samples.rate_rad_s, width, axis=0),
         stage_rad_s=gaussian_filter1d(stage, width, axis=0),
-        static=np.asarray(loaded.at_rest(time_s)),
+        static=np.asarray(loaded.make_rest_mask(time_s)),
         use=np.asarray(samples.usable & (np.convolve(in_gap, neighbourhood, "same") < 0.5)),
         pan_rad=np.zeros(time_s.size),
         tilt_rad=np.zeros(time_s.size),

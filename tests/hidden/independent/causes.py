@@ -1,7 +1,7 @@
-"""Causes of the catalogue as this simulator makes them: from one size to all its parameters.
+"""Causes of the catalogue in this simulator: from one size to all parameters.
 
-What to use when: `HIDEABLE` for the names; `hidden` for the parameters of one cause of a size;
-`stated` for the same parameters in the words of the answer.
+What to use when: `HIDEABLE` for the names; `draw_hiding` for a cause; `Hiding.make_values` for its
+parameters at a size; `Hiding.describe_parameters` for the same parameters in the answer.
 """
 
 from collections.abc import Mapping
@@ -25,13 +25,13 @@ UNIT_ONE = (
 )  # fmt: skip
 COUNTED = ("lost_samples", "repeated_samples", "corrupt_samples")
 IN_VARIANCE = ("sample_jitter",)
-# No session shows these two; the walk of a part has no level that is no cause.
+# No session shows the first two. Every part has a bias random walk, so no level of it is a cause.
 NOT_HIDDEN = ("earth_rotation", "tilt_zero", "bias_random_walk")
 HIDEABLE = tuple(
     prior.cause for prior in PRIOR_SIZES if prior.cause in CAUSES and prior.cause not in NOT_HIDDEN
 )
 _DETAILS: Mapping[str, tuple[Detail, ...]] = {prior.cause: prior.details for prior in PRIOR_SIZES}
-EVENT = (0.35, 0.65)  # share of the recording at which an event happens
+EVENT = (0.35, 0.65)  # time of an event, as a share of the recording
 
 # The name of each size in the answer.
 STATED_NAMES: Mapping[str, str] = {
@@ -50,11 +50,11 @@ STATED_NAMES: Mapping[str, str] = {
 
 @dataclass(frozen=True, slots=True)
 class Hiding:
-    """One cause of a rig: where it is, and everything but its size.
+    """One cause of a rig: its place and all parameters except its size.
 
     Attributes:
         pattern: the sizes at each place for a size of 1.
-        details: what is drawn besides the size.
+        details: the drawn parameters other than the size.
     """
 
     cause: str
@@ -63,8 +63,8 @@ class Hiding:
     pattern: Mapping[str, float]
     details: Mapping[str, float]
 
-    def values(self, size: float, full_scale_rad_s: float) -> dict[str, float]:
-        """Return the cause's parameters as `HiddenCauses` has them."""
+    def make_values(self, size: float, full_scale_rad_s: float) -> dict[str, float]:
+        """Return the parameters of the cause for `HiddenCauses`."""
         if self.cause == "saturation":
             amount = 1.0 - size / full_scale_rad_s
         elif self.cause == "low_pass_lag":
@@ -75,28 +75,30 @@ class Hiding:
             amount = self.sign * size
         return {**{name: share * amount for name, share in self.pattern.items()}, **self.details}
 
-    def stated(self, size: float) -> dict[str, dict[str, object]]:
-        """Return the parameters of the answer."""
+    def describe_parameters(self, size: float) -> dict[str, dict[str, object]]:
+        """Return the parameters for the answer."""
         unit, amount = CAUSES[self.cause].unit, self.sign * size
         if self.cause == "g_sensitivity":
-            return {name: _plain(share * amount, unit) for name, share in self.pattern.items()}
+            return {
+                name: _make_quantity(share * amount, unit) for name, share in self.pattern.items()
+            }
         parameters: dict[str, dict[str, object]] = {}
         name = STATED_NAMES.get(self.cause)
         if name is not None:
             vector = [self.pattern.get(axis, 0.0) * amount for axis in XYZ]
-            parameters[name] = _plain(vector if self.cause in ALONG else amount, unit)
+            parameters[name] = _make_quantity(vector if self.cause in ALONG else amount, unit)
         for detail, value in self.details.items():
-            parameters[detail] = _plain(value, "")
+            parameters[detail] = _make_quantity(value, "")
         phase = self.details.get(f"{self.place}_phase", self.details.get("phase"))
         if phase is not None:
-            parameters["first_phase" if self.cause == "eccentricity" else "phase"] = _plain(
+            parameters["first_phase" if self.cause == "eccentricity" else "phase"] = _make_quantity(
                 phase, "rad"
             )
         return parameters
 
 
 def draw_hiding(cause: str, rng: np.random.Generator) -> Hiding:
-    """Return a cause at a drawn place with a drawn direction and drawn details."""
+    """Return a cause with a random place, sign, pattern and details."""
     details = {detail.name: detail.draw(rng) for detail in _DETAILS[cause]}
     if "at" in details:
         details["at"] = float(rng.uniform(*EVENT))
@@ -105,11 +107,11 @@ def draw_hiding(cause: str, rng: np.random.Generator) -> Hiding:
     sign = float(rng.choice((-1.0, 1.0))) if CAUSES[cause].is_signed else 1.0
     if cause == "supply_hum":
         sign = 1.0
-    place, pattern = _pattern(cause, rng)
+    place, pattern = _draw_pattern(cause, rng)
     return Hiding(cause, place, sign, pattern, details)
 
 
-def _pattern(cause: str, rng: np.random.Generator) -> tuple[str, dict[str, float]]:
+def _draw_pattern(cause: str, rng: np.random.Generator) -> tuple[str, dict[str, float]]:
     """Return the place of a cause and its sizes there for a size of 1."""
     place = "tilt" if cause in ("tilt_sag", "axis_nonorthogonality") else "all"
     sizes = {"size": 1.0}
@@ -132,5 +134,5 @@ def _pattern(cause: str, rng: np.random.Generator) -> tuple[str, dict[str, float
     return place, sizes
 
 
-def _plain(value: float | list[float], unit: str) -> dict[str, object]:
+def _make_quantity(value: float | list[float], unit: str) -> dict[str, object]:
     return {"value": value, "unit": unit}

@@ -1,8 +1,8 @@
 """Low-pass filters of sensors, of another order than the second-order Butterworth of the emulator.
 
-`MILD` filters are that Butterworth with one more stage, whose length is set for each rig so that
-the solver's assumption is nearly true. `STRONG` filters have another order altogether, with the
--3 dB point at the stated bandwidth.
+`MILD` filters are that Butterworth with one more stage. The length of the stage is such that the
+solver's assumption is nearly true. `STRONG` filters have a different order, with the -3 dB point at
+the stated bandwidth.
 """
 
 from collections.abc import Callable, Mapping
@@ -34,7 +34,7 @@ class Stage:
 
 @dataclass(frozen=True, slots=True)
 class LowPass:
-    """A low-pass in units of its bandwidth, and one more stage that has its own time.
+    """A low-pass in units of its bandwidth, and one more stage in units of its time.
 
     Attributes:
         response: of frequencies in units of the bandwidth.
@@ -47,14 +47,14 @@ class LowPass:
     stage: Stage | None = None
     stage_s: float = 0.0
 
-    def at(self, frequency_hz: FloatArray, bandwidth_hz: float) -> ComplexArray:
+    def compute_response(self, frequency_hz: FloatArray, bandwidth_hz: float) -> ComplexArray:
         """Return the complex response at frequencies."""
         response = self.response(frequency_hz / bandwidth_hz)
         if self.stage is None or self.stage_s == 0.0:
             return response
         return response * self.stage.response(frequency_hz * self.stage_s)
 
-    def delay_s(self, bandwidth_hz: float) -> float:
+    def compute_delay_s(self, bandwidth_hz: float) -> float:
         """Return the delay of slow signals."""
         added_s = 0.0 if self.stage is None else self.stage.delay * self.stage_s
         return self.delay / bandwidth_hz + added_s
@@ -95,14 +95,14 @@ def _butterworth(share: FloatArray) -> ComplexArray:
 
 
 BUTTERWORTH_DELAY = float(np.sqrt(2.0)) / TURN
-# Not drawn. It is what the solver assumes; the drawn filter is compared with it.
+# The solver assumes this filter. No rig has it; `draws` compares the filter of a rig with it.
 ASSUMED = LowPass("butterworth", _butterworth, BUTTERWORTH_DELAY)
 MILD: Mapping[str, LowPass] = {
     kind: LowPass(kind, _butterworth, BUTTERWORTH_DELAY, stage)
     for kind, stage in (
         ("third_order", Stage(_pole, 1.0)),
         ("fourth_order", Stage(_two_poles, 2.0)),
-        ("averaged", Stage(_window, 0.5)),  # a decimator that takes means
+        ("averaged", Stage(_window, 0.5)),  # a decimator that averages
     )
 }
 STRONG: Mapping[str, LowPass] = {

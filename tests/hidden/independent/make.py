@@ -1,10 +1,10 @@
 """Make a corpus of sessions of the independent simulator, one folder for each seed.
 
-    CORPUS/<seed>/recording.mcap   all that a solver gets
-                 /answer.json      what is hidden, for the scorer only
+    CORPUS/<seed>/recording.mcap   the only file that the solver gets
+                 /answer.json      the hidden effects, for the scorer only
                  /sealed.txt       SHA-256 of the answer
 
-A seed whose recording exists is left alone, so that a run can go on where it was stopped.
+The program does not change a seed with a recording. A stopped run can therefore continue.
 
 Run: python tests/hidden/independent/make.py --out CORPUS --first SEED --count N [--tier ladder]
 """
@@ -21,18 +21,20 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 sys.path.insert(0, str(Path(__file__).resolve().parents[3]))
 
 from tests.bench.rigs.recording_file import write_recording
-from tests.hidden.independent.answer import answer_of
-from tests.hidden.independent.draws import RUNGS, TIERS, Session, drawn
+from tests.hidden.independent.answer import make_answer
+from tests.hidden.independent.draws import RUNGS, TIERS, Session, draw_session
 from tests.hidden.independent.parts import FILTERS
-from tests.hidden.independent.stream import recorded
+from tests.hidden.independent.stream import simulate_recording
 from tests.support.sealed_answer import seal
 
 
-def make(folder: Path, session: Session) -> str:
+def make_case(folder: Path, session: Session) -> str:
     """Simulate a session, seal its answer, and write the recording last; return the seal."""
     folder.mkdir(parents=True, exist_ok=True)
-    made = recorded(session.scene, session.program, session.hidden_causes, session.hidden_effect)
-    sealed = seal(folder, answer_of(session, made))
+    made = simulate_recording(
+        session.scene, session.program, session.hidden_causes, session.hidden_effect
+    )
+    sealed = seal(folder, make_answer(session, made))
     unfinished = folder / "recording.part"
     write_recording(made.rig, unfinished)
     unfinished.replace(folder / "recording.mcap")
@@ -40,21 +42,25 @@ def make(folder: Path, session: Session) -> str:
 
 
 def run(namespace: argparse.Namespace) -> int:
-    """Make what does not exist yet; return how many."""
+    """Make the missing sessions; return their number."""
     out: Path = namespace.out
     out.mkdir(parents=True, exist_ok=True)
-    which, shards = (int(word) for word in namespace.shard.split("/"))
-    made, begun_s = 0, time.monotonic()
+    shard, shard_count = (int(word) for word in namespace.shard.split("/"))
+    made, start_s = 0, time.monotonic()
     for seed in range(namespace.first, namespace.first + namespace.count):
         folder = out / str(seed)
-        if (seed - namespace.first) % shards != which - 1 or (folder / "recording.mcap").exists():
+        if (seed - namespace.first) % shard_count != shard - 1 or (
+            folder / "recording.mcap"
+        ).exists():
             continue
         if folder.exists():
             shutil.rmtree(folder)  # a stop left it incomplete
-        session = drawn(seed, namespace.tier, namespace.rungs, namespace.program, namespace.filters)
-        sealed = make(folder, session)
+        session = draw_session(
+            seed, namespace.tier, namespace.rungs, namespace.program, namespace.filters
+        )
+        sealed = make_case(folder, session)
         made += 1
-        each_s = (time.monotonic() - begun_s) / made
+        each_s = (time.monotonic() - start_s) / made
         sys.stderr.write(f"{seed} {session.program.name} sealed {sealed}, {each_s:.1f} s each\n")
     return made
 
@@ -67,9 +73,13 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--count", type=int, required=True)
     parser.add_argument("--tier", choices=TIERS, default="ladder")
     parser.add_argument("--rungs", type=float, nargs="+", default=list(RUNGS))
-    parser.add_argument("--program", default="", help="instead of a drawn one")
-    parser.add_argument("--filters", choices=FILTERS, default="mild", help="of the sensors")
-    parser.add_argument("--shard", default="1/1", metavar="K/N", help="only every N-th, from K")
+    parser.add_argument("--program", default="", help="program instead of a random one")
+    parser.add_argument(
+        "--filters", choices=FILTERS, default="mild", help="low-pass filters of the sensors"
+    )
+    parser.add_argument(
+        "--shard", default="1/1", metavar="K/N", help="make only every N-th session, from K"
+    )
     sys.stdout.write(f"{run(parser.parse_args(arguments))} made\n")
 
 

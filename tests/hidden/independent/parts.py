@@ -1,7 +1,7 @@
-"""The parts of one rig, drawn from a seed: sensor, filter, noise, sample clock, link, line.
+"""Draw the parts of one rig from a seed: sensor, filter, noise, sample clock, link, line.
 
-The spreads follow data sheets of consumer parts (L3G4200D, MPU-6050, BMI270). They are not the
-emulator's.
+The spreads follow data sheets of consumer parts (L3G4200D, MPU-6050, BMI270). The emulator has
+other spreads.
 """
 
 from dataclasses import dataclass, replace
@@ -18,29 +18,29 @@ MDPS = float(np.radians(1e-3))
 WHITE_RAD_S_RTHZ = (10.0 * MDPS, 30.0 * MDPS)
 FLICKER_RAD_S = 4.0 * MDPS
 WALK_RAD_S_RTS = 0.3 * MDPS
-MOST_SPREAD = 3.0  # of flicker and walk between parts, either way
+MOST_SPREAD = 3.0  # largest factor of flicker and walk between parts, in both directions
 AXIS_SPREAD = (0.8, 1.25)
 FLOOR_SHARE = (0.0, 0.3)  # noise behind the low-pass, as a share of the white noise
 ODR_STD, MOST_ODR_ERROR = 0.02, 0.05
 ODR_PER_K_STD = 2e-4
-USB_SHARE = 0.5  # of the rigs whose board is on a USB link with frames of 1 ms
+USB_SHARE = 0.5  # share of rigs with a USB link with frames of 1 ms
 USB_FRAME_S = 1e-3
 CRYSTAL_STD = 3e-5
-STAGE_SHARE = (0.1, 0.6)  # time of a mild filter's stage, over that of its bandwidth
+STAGE_SHARE = (0.1, 0.6)  # time of a mild filter's stage, relative to the time of its bandwidth
 FILTERS = ("mild", "strong")
 LATENCY_S, LATENCY_EXTRA_S = (3e-4, 3e-3), 1.5e-4
 
 
 @dataclass(frozen=True, slots=True)
 class Link:
-    """The way of a sample from the board to the host."""
+    """The link that carries samples from the board to the host."""
 
     shortest_s: float
     extra_s: float  # mean of the random delay
     frame_s: float  # samples wait for the next frame; 0: they do not wait
 
-    def arrival_s(self, ready_s: FloatArray, rng: np.random.Generator) -> FloatArray:
-        """Return when samples arrive that are ready at these times."""
+    def compute_arrival_s(self, ready_s: FloatArray, rng: np.random.Generator) -> FloatArray:
+        """Return the arrival times of samples that are ready at given times."""
         sent_s = ready_s + self.shortest_s
         if self.frame_s > 0.0:
             sent_s = np.ceil(sent_s / self.frame_s) * self.frame_s
@@ -55,7 +55,7 @@ class Link:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RigParts:
-    """All that is the same in each session of a rig."""
+    """The parts of a rig, which are the same in all its sessions."""
 
     seed: int
     baud: float
@@ -70,14 +70,14 @@ class RigParts:
     counter_start: int
     counter_skew: float
 
-    def board(self, causes: HiddenCauses) -> Gyroscope:
-        """Return the gyroscope with the thermometer that fits the causes."""
+    def make_gyroscope(self, causes: HiddenCauses) -> Gyroscope:
+        """Return the gyroscope with the thermometer lag of the causes."""
         lag_s = causes.get("thermal_bias", "lag_s")
         warming = replace(self.gyroscope.warming, thermometer_lag_s=lag_s)
         return replace(self.gyroscope, warming=warming)
 
-    def sample_times_s(self, span_s: tuple[float, float]) -> FloatArray:
-        """Return when the samples are taken: the rate follows the temperature of the die."""
+    def compute_sample_times_s(self, span_s: tuple[float, float]) -> FloatArray:
+        """Return the sample times; the sample rate follows the temperature of the die."""
         grid_s = np.arange(span_s[0], span_s[1], 0.05)
         die = self.gyroscope.warming.die_degc(grid_s - span_s[0], span_s[1] - span_s[0])
         rate_hz = self.gyroscope.odr_hz * (1.0 + self.odr_per_k * (die - die[0]))
@@ -85,26 +85,28 @@ class RigParts:
         number = np.concatenate([[0.0], np.cumsum(steps)])
         return np.asarray(np.interp(np.arange(int(number[-1])), number, grid_s))
 
-    def delay_s(self, causes: HiddenCauses) -> float:
+    def compute_delay_s(self, causes: HiddenCauses) -> float:
         """Return the delay of the time stamps behind a slow motion."""
         cutoff_hz = self.gyroscope.cutoff_hz(causes)
-        return self.gyroscope.lag_s + self.low_pass.delay_s(cutoff_hz) + self.link.shortest_s
+        return (
+            self.gyroscope.lag_s + self.low_pass.compute_delay_s(cutoff_hz) + self.link.shortest_s
+        )
 
 
 def draw_parts(seed: int, filters: str = "mild") -> RigParts:
     """Return the rig of a seed.
 
     Args:
-        seed: of everything.
-        filters: which low-pass filters are drawn, one of `FILTERS`.
+        seed: of all draws.
+        filters: kind of the low-pass filters, one of `FILTERS`.
     """
     rng = np.random.default_rng([seed, 0x50415254])
     board_rng = rng.spawn(1)[0]
     gyroscope = draw_gyroscope(board_rng, HiddenCauses())
     quantum = gyroscope.quantum_rad_s
     white = float(np.exp(rng.uniform(*np.log(WHITE_RAD_S_RTHZ))))
-    flicker, walk = FLICKER_RAD_S * _spread(rng), WALK_RAD_S_RTS * _spread(rng)
-    levels = [_axis_levels(white, flicker, walk, quantum, rng) for _ in range(3)]
+    flicker, walk = FLICKER_RAD_S * _draw_spread(rng), WALK_RAD_S_RTS * _draw_spread(rng)
+    levels = [_draw_axis_levels(white, flicker, walk, quantum, rng) for _ in range(3)]
     error = float(np.clip(rng.normal(scale=ODR_STD), -MOST_ODR_ERROR, MOST_ODR_ERROR))
     gyroscope = replace(
         gyroscope,
@@ -139,12 +141,12 @@ def _draw_low_pass(filters: str, bandwidth_hz: float, rng: np.random.Generator) 
     return replace(low_pass, stage_s=share / (2.0 * np.pi * bandwidth_hz))
 
 
-def _spread(rng: np.random.Generator) -> float:
+def _draw_spread(rng: np.random.Generator) -> float:
     most = float(np.log(MOST_SPREAD))
     return float(np.exp(np.clip(rng.normal(scale=most / 2.0), -most, most)))
 
 
-def _axis_levels(
+def _draw_axis_levels(
     white: float, flicker: float, walk: float, quantum_rad_s: float, rng: np.random.Generator
 ) -> Levels:
     a, b, c = (float(rng.uniform(*AXIS_SPREAD)) for _ in range(3))

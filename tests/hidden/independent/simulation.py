@@ -1,7 +1,7 @@
 """One session of a rig on a fixed grid of 4 kHz: its motion, its rates, and its samples.
 
-What to use when: `Scene` for a session whose moves are known; `Scene.rates` with and without
-something hidden, at the same instants. The difference of two such rates is what it shows.
+What to use when: `Scene` for a session with known moves; `Scene.simulate_rates` with and without
+hidden effects, at the same instants. The difference of two such rates is the signal of the effects.
 """
 
 from dataclasses import dataclass, replace
@@ -24,35 +24,35 @@ NO_CAUSES, NO_EFFECT = HiddenCauses(), Effect()
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GridRates:
-    """Rates behind the low-pass on the grid, and what is added behind it at the samples."""
+    """Rates behind the low-pass on the grid, and the bias parts at the samples."""
 
     begin_s: float  # of the grid
     grid_rad_s: FloatArray  # (m, 3)
     sample_s: FloatArray  # (n,)
-    lag_s: FloatArray  # (n,), that a queue of the board adds
+    lag_s: FloatArray  # (n,), of a queue on the board
     bias_parts_rad_s: dict[str, FloatArray]  # (n, 3), by cause
     limit_rad_s: float
 
-    def at(self, shift_s: float = 0.0) -> FloatArray:
-        """Return the rates of the samples, each taken later by a time, (n, 3)."""
+    def sample_rates(self, shift_s: float = 0.0) -> FloatArray:
+        """Return the rates of the samples, (n, 3); each sample is later by `shift_s`."""
         taken_s = self.sample_s - self.lag_s + shift_s
-        rates = interpolated(self.grid_rad_s, (taken_s - self.begin_s) * FINE_HZ)
+        rates = interpolate_rows(self.grid_rad_s, (taken_s - self.begin_s) * FINE_HZ)
         for part in self.bias_parts_rad_s.values():
             rates = rates + part
         return np.clip(rates, -self.limit_rad_s, self.limit_rad_s)
 
-    def slope_rad_s2(self) -> FloatArray:
+    def compute_slope_rad_s2(self) -> FloatArray:
         """Return the time derivative of the rates, (n, 3)."""
         step_s = 1.0 / FINE_HZ
-        return np.asarray((self.at(step_s) - self.at(-step_s)) / (2.0 * step_s))
+        return np.asarray((self.sample_rates(step_s) - self.sample_rates(-step_s)) / (2.0 * step_s))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Scene:
-    """A rig and a session of it whose moves begin when they begin."""
+    """A rig and one of its sessions, with fixed start times of the moves."""
 
     parts: RigParts
-    session: SerialSession  # with moves as they are without causes
+    session: SerialSession  # its moves have the profile without causes
 
     @property
     def span_s(self) -> tuple[float, float]:
@@ -64,27 +64,29 @@ class Scene:
         """Axis and begin of each move."""
         return [(move.axis, move.start_s) for move in self.session.moves]
 
-    def tracks(self, causes: HiddenCauses, effect: Effect = NO_EFFECT) -> StepTracks:
+    def simulate_tracks(self, causes: HiddenCauses, effect: Effect = NO_EFFECT) -> StepTracks:
         """Return the steps of both axes; an effect turns the stage, not the counts."""
         cells = int((self.session.end_s + 2.0 * MARGIN_S) * FINE_HZ)
         edges_s = -MARGIN_S + np.arange(cells + 1) / FINE_HZ
-        tracks = step_tracks(with_moves_of(self.session, causes), causes, edges_s)
+        tracks = step_tracks(change_moves(self.session, causes), causes, edges_s)
         added = effect.added_angles_rad(tracks)
         turned = [t + a / RAD_PER_STEP for t, a in zip(tracks.turned, added, strict=True)]
         return replace(tracks, turned=(turned[0], turned[1]))
 
-    def motion(self, causes: HiddenCauses, effect: Effect = NO_EFFECT) -> StageMotion:
+    def simulate_motion(self, causes: HiddenCauses, effect: Effect = NO_EFFECT) -> StageMotion:
         """Return the motion of the stage."""
-        return stage_motion(self.tracks(causes, effect), causes, self.span_s, self.parts.lean_rad)
+        return stage_motion(
+            self.simulate_tracks(causes, effect), causes, self.span_s, self.parts.lean_rad
+        )
 
-    def rates(
+    def simulate_rates(
         self,
         causes: HiddenCauses = NO_CAUSES,
         effect: Effect = NO_EFFECT,
         noise_rng: np.random.Generator | None = None,
         low_pass: LowPass | None = None,
     ) -> GridRates:
-        """Return the rates with something hidden.
+        """Return the rates with hidden effects.
 
         Args:
             causes: of the catalogue.
@@ -92,7 +94,7 @@ class Scene:
             noise_rng: of the white noise in front of the low-pass; None: without noise.
             low_pass: instead of the sensor's own.
         """
-        board, motion = self.parts.board(causes), self.motion(causes, effect)
+        board, motion = self.parts.make_gyroscope(causes), self.simulate_motion(causes, effect)
         element = element_rad_s(board, motion, causes, self.span_s)
         element = element + effect.added_rates_rad_s(motion, self.span_s)
         quiet = element[0].copy()
@@ -104,25 +106,31 @@ class Scene:
             element += noise_rng.normal(size=element.shape) * scale
         cutoff_hz = board.cutoff_hz(causes)
         lags_s = board.lag_s + effect.axis_lags_s()
-        grid = _behind(low_pass or self.parts.low_pass, cutoff_hz, lags_s, element, motion.cell_s)
-        sample_s = self.parts.sample_times_s(self.span_s)
+        grid = _filter_signal(
+            low_pass or self.parts.low_pass, cutoff_hz, lags_s, element, motion.cell_s
+        )
+        sample_s = self.parts.compute_sample_times_s(self.span_s)
         limit = 1.0 - causes.get("saturation")
         return GridRates(
             begin_s=-MARGIN_S,
             grid_rad_s=grid + quiet + board.bias_rad_s,
             sample_s=sample_s,
-            lag_s=causes.get("clock_step") * self._since_event("clock_step", causes, sample_s),
-            bias_parts_rad_s=self._bias_parts(causes, sample_s),
+            lag_s=causes.get("clock_step") * self._mark_since_event("clock_step", causes, sample_s),
+            bias_parts_rad_s=self._compute_bias_parts(causes, sample_s),
             limit_rad_s=FULL_SCALE_RAD_S * (max(0.05, limit) if limit < 1.0 else 2.0),
         )
 
-    def _since_event(self, cause: str, causes: HiddenCauses, sample_s: FloatArray) -> FloatArray:
+    def _mark_since_event(
+        self, cause: str, causes: HiddenCauses, sample_s: FloatArray
+    ) -> FloatArray:
         """Return 1 for the samples since a cause's event, else 0."""
         begin_s, end_s = self.span_s
         event_s = begin_s + causes.get(cause, "at") * (end_s - begin_s)
         return np.where(sample_s >= event_s, 1.0, 0.0)
 
-    def _bias_parts(self, causes: HiddenCauses, sample_s: FloatArray) -> dict[str, FloatArray]:
+    def _compute_bias_parts(
+        self, causes: HiddenCauses, sample_s: FloatArray
+    ) -> dict[str, FloatArray]:
         since_s, long_s = sample_s - self.span_s[0], self.span_s[1] - self.span_s[0]
         die = self.parts.gyroscope.warming.die_degc(since_s, long_s) - TEMPERATURE_OFFSET_DEGC
         warm_s = causes.get("warm_up", "time_s") or 1.0
@@ -131,7 +139,7 @@ class Scene:
             "thermal_bias": die,
             "warm_up": np.exp(-since_s / warm_s),
             "bias_ramp": since_s - long_s / 2.0,
-            "bias_step": self._since_event("bias_step", causes, sample_s),
+            "bias_step": self._mark_since_event("bias_step", causes, sample_s),
             "supply_hum": np.sin(2.0 * np.pi * turns + causes.get("supply_hum", "phase")),
         }
         return {
@@ -141,10 +149,10 @@ class Scene:
         }
 
 
-def with_moves_of(session: SerialSession, causes: HiddenCauses) -> SerialSession:
-    """Return a session whose moves have the profile that causes let them have.
+def change_moves(session: SerialSession, causes: HiddenCauses) -> SerialSession:
+    """Return a session whose moves have the profile under given causes.
 
-    The ramps are exactly as commanded otherwise: an error of their timer would be a cause.
+    Without these causes the ramps are exactly as commanded, because a timer error would be a cause.
     """
     moves = []
     for move in session.moves:
@@ -161,10 +169,10 @@ def with_moves_of(session: SerialSession, causes: HiddenCauses) -> SerialSession
     return replace(session, moves=tuple(moves))
 
 
-def interpolated(values: FloatArray, where: FloatArray) -> FloatArray:
+def interpolate_rows(values: FloatArray, positions: FloatArray) -> FloatArray:
     """Interpolate rows at fractional row numbers, by cubics through four rows."""
-    k = np.clip(np.floor(where).astype(np.int64), 1, values.shape[0] - 3)
-    u = (where - k)[:, None]
+    k = np.clip(np.floor(positions).astype(np.int64), 1, values.shape[0] - 3)
+    u = (positions - k)[:, None]
     before, now, then, after = (values[k + j] for j in (-1, 0, 1, 2))
     return np.asarray(
         before * (-u * (u - 1) * (u - 2) / 6)
@@ -174,14 +182,14 @@ def interpolated(values: FloatArray, where: FloatArray) -> FloatArray:
     )
 
 
-def _behind(
+def _filter_signal(
     low_pass: LowPass, cutoff_hz: float, lags_s: FloatArray, element: FloatArray, cell_s: float
 ) -> FloatArray:
-    """Return a signal of cells behind low-pass and lag, at the begin of each cell."""
+    """Return a signal of cells behind the low-pass and the lag, at the begin of each cell."""
     size = next_fast_len(element.shape[0], real=True)
     f = rfftfreq(size, cell_s)
-    # A mean belongs to the middle of its cell and is smoothed over it.
-    response = low_pass.at(f, cutoff_hz) / np.sinc(f * cell_s)
+    # The value of a cell is a mean over the cell, at its middle.
+    response = low_pass.compute_response(f, cutoff_hz) / np.sinc(f * cell_s)
     late = np.exp(-2j * np.pi * np.outer(f, lags_s + 0.5 * cell_s))
     spectrum = rfft(element, size, axis=0) * (response[:, None] * late)
     return np.asarray(irfft(spectrum, size, axis=0)[: element.shape[0]])

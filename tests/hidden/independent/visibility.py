@@ -1,8 +1,8 @@
-"""How visible a hidden effect is in one session, in units of the true noise.
+"""Visibility of a hidden effect in one session, relative to the true noise.
 
-The difference of the noise-free rates is whitened by the true densities in the space of the cosine
-transform. What gain, bias, time offset and the start delays of the moves absorb is projected off.
-The energy of the rest is the non-centrality.
+`Visibility` whitens the difference of the noise-free rates with the true densities, in the space of
+the cosine transform. Then it projects out the parameters of a calibration: gain, bias, time offset
+and the start delays of the moves. The energy of the rest is the non-centrality.
 """
 
 from functools import cached_property
@@ -16,96 +16,100 @@ from tests.bench.rigs.stage_motion import StageMotion
 from tests.hidden.independent.parts import RigParts
 from tests.hidden.independent.simulation import NO_CAUSES, GridRates, Scene
 
-WEAKEST = 1e-9  # share of the strongest; a weaker combination of shapes is rounding
-SHORT_S, ROUNDS = 2e-5, 5  # of the search for the best common delay
+MIN_STRENGTH = 1e-9  # relative to the strongest; weaker combinations of shapes are rounding errors
+TOLERANCE_S, MAX_ROUNDS = 2e-5, 5  # of the search for the best common delay
 JITTER_DRAWS = 60
 
 
-def coefficient_variances(parts: RigParts, count: int, has_white: bool = True) -> FloatArray:
+def compute_coefficient_variances(
+    parts: RigParts, count: int, has_white: bool = True
+) -> FloatArray:
     """Return the variance of the noise in each cosine coefficient but the mean's, (n - 1, 3).
 
     Args:
         parts: of the rig.
-        count: samples.
+        count: number of samples.
         has_white: whether the white noise in front of the low-pass is included.
     """
     gyroscope = parts.gyroscope
     odr_hz = gyroscope.odr_hz
-    f = np.arange(1, count) * odr_hz / (2.0 * count)
+    frequency_hz = np.arange(1, count) * odr_hz / (2.0 * count)
     images = np.arange(-int(0.5 * FINE_HZ / odr_hz), int(0.5 * FINE_HZ / odr_hz) + 1)
-    alias_hz = f[:, None] + odr_hz * images
-    response = parts.low_pass.at(alias_hz, gyroscope.bandwidth_hz) / np.sinc(alias_hz / FINE_HZ)
+    alias_hz = frequency_hz[:, None] + odr_hz * images
+    response = parts.low_pass.compute_response(alias_hz, gyroscope.bandwidth_hz) / np.sinc(
+        alias_hz / FINE_HZ
+    )
     folded = np.sum(np.abs(response) ** 2, axis=1)
     white, flicker, walk = (
         np.array([getattr(level, name) for level in gyroscope.levels]) ** 2
         for name in ("white", "flicker", "walk")
     )
-    density = np.outer(folded, white * has_white) + np.outer(1.0 / (np.pi * f), flicker)
-    density += np.outer(1.0 / (2.0 * (np.pi * f) ** 2), walk)
+    density = np.outer(folded, white * has_white) + np.outer(1.0 / (np.pi * frequency_hz), flicker)
+    density += np.outer(1.0 / (2.0 * (np.pi * frequency_hz) ** 2), walk)
     density += parts.floor_rad_s_rthz**2 + gyroscope.quantum_rad_s**2 / (6.0 * odr_hz)
     return np.asarray(0.5 * odr_hz * density)
 
 
 class Visibility:
-    """The space beside what a calibration of one session estimates."""
+    """The signal space of one session without the parameters of a calibration."""
 
     def __init__(self, scene: Scene) -> None:
-        """Simulate the session without anything hidden."""
+        """Simulate the session without hidden effects."""
         self.scene = scene
-        self.plain: GridRates = scene.rates()
+        self.plain: GridRates = scene.simulate_rates()
         self._count = self.plain.sample_s.size
 
     @cached_property
     def variances(self) -> FloatArray:
         """Variances of the cosine coefficients, (n - 1, 3)."""
-        return coefficient_variances(self.scene.parts, self._count)
+        return compute_coefficient_variances(self.scene.parts, self._count)
 
-    def whitened(self, rows_rad_s: FloatArray) -> FloatArray:
+    def whiten(self, rows_rad_s: FloatArray) -> FloatArray:
         """Return a signal (n, 3) in units of the noise, without its mean, (3 n - 3,)."""
         coefficients = dct(rows_rad_s, axis=0, norm="ortho")[1:]
         return np.asarray((coefficients / np.sqrt(self.variances)).ravel())
 
-    def projected(self, rows_rad_s: FloatArray) -> FloatArray:
-        """Return a signal without what the calibration parameters explain, (3 n - 3,)."""
-        white = self.whitened(rows_rad_s)
+    def project(self, rows_rad_s: FloatArray) -> FloatArray:
+        """Return a signal after projecting out the calibration parameters, (3 n - 3,)."""
+        white = self.whiten(rows_rad_s)
         return np.asarray(white - self._basis @ (self._basis.T @ white))
 
-    def difference(self, hidden: GridRates, plain: GridRates | None = None) -> FloatArray:
-        """Return a difference without its best common delay and the other parameters."""
+    def compute_difference(self, hidden: GridRates, plain: GridRates | None = None) -> FloatArray:
+        """Return a difference after removing its best common delay and the other parameters."""
         reference = plain or self.plain
-        rates, shift_s = hidden.at(), 0.0
-        slope = self.whitened(self._slope)
-        for _ in range(ROUNDS):
-            white = self.whitened(rates - reference.at(shift_s))
+        rates, shift_s = hidden.sample_rates(), 0.0
+        slope = self.whiten(self._slope)
+        for _ in range(MAX_ROUNDS):
+            white = self.whiten(rates - reference.sample_rates(shift_s))
             step_s = float(slope @ white) / float(slope @ slope)
             shift_s += step_s
-            if abs(step_s) < SHORT_S:
+            if abs(step_s) < TOLERANCE_S:
                 break
-        return self.projected(rates - reference.at(shift_s))
+        return self.project(rates - reference.sample_rates(shift_s))
 
     @cached_property
     def motion(self) -> StageMotion:
-        """The motion without anything hidden."""
-        return self.scene.motion(NO_CAUSES)
+        """The motion without hidden effects."""
+        return self.scene.simulate_motion(NO_CAUSES)
 
-    def late(self, causes: HiddenCauses) -> FloatArray:
-        """Return the difference that a clock of another rate makes, (n, 3), to first order."""
+    def compute_skew_difference(self, causes: HiddenCauses) -> FloatArray:
+        """Return the difference from a clock with another rate, to first order, (n, 3)."""
         begin_s, end_s = self.scene.span_s
         lag_s = causes.get("clock_skew") * (self.plain.sample_s - 0.5 * (begin_s + end_s))
         return np.asarray(-self._slope * lag_s[:, None])
 
-    def noncentrality(self, hidden: GridRates) -> float:
-        """Return the non-centrality of what hidden causes change."""
-        left = self.difference(hidden)
-        return float(left @ left)
+    def compute_noncentrality(self, hidden: GridRates) -> float:
+        """Return the non-centrality of the change by hidden causes."""
+        difference = self.compute_difference(hidden)
+        return float(difference @ difference)
 
     @cached_property
-    def jitter(self) -> float:
-        """Non-centrality of jitter of 1 s: tr(S^2) / 2 less what the white level absorbs."""
+    def jitter_noncentrality(self) -> float:
+        """Non-centrality of jitter of 1 s: tr(S^2) / 2 minus the part in the white level."""
         rng = np.random.default_rng(0)
         draws = np.stack(
             [
-                self.projected(self._slope * rng.standard_normal((self._count, 1)))
+                self.project(self._slope * rng.standard_normal((self._count, 1)))
                 for _ in range(JITTER_DRAWS)
             ]
         )
@@ -116,7 +120,7 @@ class Visibility:
         level = float((by_axis**2).sum()) / (draws.shape[1] / 3.0)
         return float(0.5 * max(whole - level, 0.0))
 
-    def scatter(self, amplitude: FloatArray) -> float:
+    def compute_scatter_noncentrality(self, amplitude: FloatArray) -> float:
         """Return the non-centrality of white noise whose amplitude changes with time.
 
         It is twice the expected gain of the log-likelihood against a constant amplitude.
@@ -124,21 +128,25 @@ class Visibility:
         Args:
             amplitude: relative to that at rest, at the samples, (n,).
         """
-        quiet = coefficient_variances(self.scene.parts, self._count, has_white=False)
-        share = np.sqrt(np.mean((1.0 - quiet / self.variances) ** 2, axis=0))
+        variances_after_filter = compute_coefficient_variances(
+            self.scene.parts, self._count, has_white=False
+        )
+        share = np.sqrt(np.mean((1.0 - variances_after_filter / self.variances) ** 2, axis=0))
         profile = 1.0 + np.outer(amplitude**2 - 1.0, share)
         gain = np.log(profile.mean(axis=0)) - np.log(profile).mean(axis=0)
         return float(self._count * gain.sum())
 
     @cached_property
     def _slope(self) -> FloatArray:
-        return self.plain.slope_rad_s2()
+        return self.plain.compute_slope_rad_s2()
 
     @cached_property
     def _basis(self) -> FloatArray:
         """Orthonormal columns that span the parameters of a calibration."""
         gain = self.scene.parts.gyroscope.gain
-        stage = (self.plain.at() - self.scene.parts.gyroscope.bias_rad_s) @ np.linalg.inv(gain).T
+        stage = (self.plain.sample_rates() - self.scene.parts.gyroscope.bias_rad_s) @ np.linalg.inv(
+            gain
+        ).T
         slope = self._slope @ np.linalg.inv(gain).T
         shapes = [np.outer(stage[:, k], unit) for unit in np.eye(3) for k in range(3)]
         shapes.append(self._slope)
@@ -148,9 +156,9 @@ class Visibility:
             for begin_s, end_s in zip(begins, [*begins[1:], np.inf], strict=True):
                 during = (self.plain.sample_s >= begin_s) & (self.plain.sample_s < end_s)
                 shapes.append(by_axis[axis] * during[:, None])
-        columns = np.stack([self.whitened(shape) for shape in shapes], axis=1)
+        columns = np.stack([self.whiten(shape) for shape in shapes], axis=1)
         norms = np.linalg.norm(columns, axis=0)
         columns = columns[:, norms > 0.0] / norms[norms > 0.0]
         values, vectors = np.linalg.eigh(columns.T @ columns)
-        is_strong = values > WEAKEST * values.max()
+        is_strong = values > MIN_STRENGTH * values.max()
         return np.asarray(columns @ (vectors[:, is_strong] / np.sqrt(values[is_strong])))

@@ -28,7 +28,7 @@ class Remainder:
 
     @property
     def share(self) -> float:
-        """Share of the effect; 0 where the base model absorbs it."""
+        """Share of the effect; 0 if the base model absorbs it."""
         return self.left / self.effect if self.effect >= UNSEEN else 0.0
 
 

@@ -1,4 +1,4 @@
-"""Goals of the tests with hidden effects, set before any run and only made stricter afterwards.
+"""Goals of the tests with hidden effects, set before the first run and only made stricter later.
 
 What to use when: `GOALS` for the whole list in the order of the page; a single limit by name.
 """
@@ -8,7 +8,7 @@ from typing import Literal
 
 NULLS, HIDDEN = 1000, 1000  # minimum number of sessions of the long tier
 FALSE_ALARMS, FALSE_ALARMS_UPPER = 0.005, 0.01
-SEARCH_FALSE_ALARMS = 0.01  # of all tests of a session: what the search is set to
+SEARCH_FALSE_ALARMS = 0.01  # of all tests of a session, as the search is configured
 SOLE_RIGHT, SOLE_RIGHT_SOAK = 0.99, 0.99
 WRONG_NAMES, WRONG_NAMES_AMONG = 0, 1000
 DETECTED_ONCE = 0.77  # at the minimum detectable size; theory 80 %
@@ -26,11 +26,9 @@ EIGHT_CAUSES_S, PLAIN_S = 60.0, 2.0
 # Sizes in minimum detectable sizes, and the tolerance of a size.
 RUNGS = (1.0, 2.0, 3.0)
 RUNG_WIDTH = 0.05
-BOUND, FAR = (
-    2.0,
-    3.0,
-)  # smallest sizes at which names must be right and outside shapes must be detected
-SEEN = 1.0  # smallest size at which one cause of many counts as detectable
+# Smallest sizes at which names must be right, and at which outside shapes must be detected.
+NAMED_TIMES, OUTSIDE_TIMES = 2.0, 3.0
+DETECTABLE = 1.0  # smallest size at which one cause of many counts as detectable
 
 INTERVAL = 1.959963984540054  # deviations of a 95 % interval
 
@@ -46,14 +44,14 @@ class Goal:
     """One line of the table."""
 
     number: int
-    name: str  # of the figure in `figures`
+    name: str  # of the figure in `compute_figures`
     words: str
     sense: Sense
     low: float | None = None
     high: float | None = None
 
-    def met(self, value: float) -> bool:
-        """Return whether a figure meets it."""
+    def is_met(self, value: float) -> bool:
+        """Return whether a figure meets the goal."""
         above = self.low is None or value >= self.low
         below = self.high is None or value <= self.high
         return above and below

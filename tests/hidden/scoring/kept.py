@@ -26,9 +26,9 @@ class JudgedCases:
 
 def write_judged_cases(path: Path, judged_cases: JudgedCases) -> None:
     """Write one line per case, then the second recordings and the bounds."""
-    lines = [msgspec.json.encode(_short(outcome)) for outcome in judged_cases.outcomes]
+    lines = [msgspec.json.encode(_round_outcome(outcome)) for outcome in judged_cases.outcomes]
     gaps = [msgspec.json.encode(gap) for gap in judged_cases.gaps]
-    bounds = [msgspec.json.encode(_shortened(bound)) for bound in judged_cases.bounds]
+    bounds = [msgspec.json.encode(_round_bound(bound)) for bound in judged_cases.bounds]
     between = b",\n"
     body = b'{"outcomes":[\n%b\n],"gaps":[\n%b\n],"bounds":[\n%b\n]}\n' % (
         between.join(lines), between.join(gaps), between.join(bounds),
@@ -42,17 +42,17 @@ def read_judged_cases(path: Path) -> JudgedCases:
     return msgspec.json.decode(path.read_bytes(), type=JudgedCases)
 
 
-def _short(outcome: Outcome) -> Outcome:
+def _round_outcome(outcome: Outcome) -> Outcome:
     """Return an outcome rounded to the digits that a figure needs."""
 
-    def near(each: tuple[Coverage, ...]) -> tuple[Coverage, ...]:
+    def round_sigmas(each: tuple[Coverage, ...]) -> tuple[Coverage, ...]:
         return tuple(replace(c, sigma=round(c.sigma, SIGMA_DIGITS)) for c in each)
 
     return replace(
         outcome,
         fates=tuple(replace(fate, times=round(fate.times, 2)) for fate in outcome.fates),
-        covered_causes=near(outcome.covered_causes),
-        covered_calibration=near(outcome.covered_calibration),
+        covered_causes=round_sigmas(outcome.covered_causes),
+        covered_calibration=round_sigmas(outcome.covered_calibration),
         beliefs=tuple(
             replace(each, probability=round(each.probability, PROBABILITY_DIGITS))
             for each in outcome.beliefs
@@ -64,7 +64,7 @@ def _short(outcome: Outcome) -> Outcome:
     )
 
 
-def _shortened(bound: Bound) -> Bound:
+def _round_bound(bound: Bound) -> Bound:
     return replace(
         bound,
         times=round(bound.times, 2),

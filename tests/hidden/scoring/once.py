@@ -6,8 +6,8 @@ alarms among all tests of the catalogue and must also find the instants, so each
 is one more trial. `tests/hidden/multiplicity.py` measures the effective number of tests and trials
 with simulated noise. The power of the chi-square test follows from them.
 
-What to use when: `Multiplicity` is the measurement of one program; `chance_once` for a cause;
-`borne` for the mean over causes.
+What to use when: `Multiplicity` is the measurement of one program; `compute_power` for a cause;
+`compute_mean_power` for the mean over causes.
 """
 
 from collections.abc import Iterable, Sequence
@@ -19,7 +19,7 @@ import numpy as np
 from docs.markdown import table
 from scipy.stats import chi2, ncx2
 from tests.hidden.scoring.goals import SEARCH_FALSE_ALARMS
-from tests.hidden.truth.detectable import detectable_of, sizes_of
+from tests.hidden.truth.detectable import compute_detectable, count_sizes
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,7 +38,7 @@ def read(path: Path) -> list[Multiplicity]:
     return msgspec.json.decode(path.read_bytes(), type=list[Multiplicity])
 
 
-def chance_once(
+def compute_power(
     cause: str, tests: float, looks: float, alarms: float = SEARCH_FALSE_ALARMS
 ) -> float:
     """Return the power of the test of a cause at one detectable size.
@@ -49,14 +49,14 @@ def chance_once(
         looks: effective trials of the cause.
         alarms: false alarms of all tests per session.
     """
-    sizes = sizes_of(cause)
-    bar = float(chi2.isf(alarms / (tests * looks), sizes))
-    return float(ncx2.sf(bar, sizes, detectable_of(cause)))
+    sizes = count_sizes(cause)
+    threshold = float(chi2.isf(alarms / (tests * looks), sizes))
+    return float(ncx2.sf(threshold, sizes, compute_detectable(cause)))
 
 
-def borne(measured: Sequence[Multiplicity], causes: Iterable[str]) -> float:
+def compute_mean_power(measured: Sequence[Multiplicity], causes: Iterable[str]) -> float:
     """Return the mean power over cases of one cause each, and over the measured programs."""
-    each = [_mean_chance(measured, cause) for cause in causes]
+    each = [_compute_measured_power(measured, cause) for cause in causes]
     return float(np.mean(each)) if each else float("nan")
 
 
@@ -69,17 +69,17 @@ def table_text(measured: Sequence[Multiplicity]) -> str:
             multiplicity.looks[name] for multiplicity in measured if name in multiplicity.looks
         ]
         rows.append(
-            (f"`{name}`", str(sizes_of(name)), f"{np.median(looks):.1f}",
-             f"{100.0 * _mean_chance(measured, name):.0f} %")
+            (f"`{name}`", str(count_sizes(name)), f"{np.median(looks):.1f}",
+             f"{100.0 * _compute_measured_power(measured, name):.0f} %")
         )  # fmt: skip
-    rows.append(("mean", "", "", f"{100.0 * borne(measured, names):.1f} %"))
+    rows.append(("mean", "", "", f"{100.0 * compute_mean_power(measured, names):.1f} %"))
     return table(
         ("cause", "amplitudes", "effective number of trials", "power at 1x of a separate test"),
         rows,
     )
 
 
-def counted(measured: Sequence[Multiplicity]) -> str:
+def tests_table(measured: Sequence[Multiplicity]) -> str:
     """Return the table of the effective numbers of tests."""
     rows = [
         (f"`{multiplicity.program}`" + (" with soak" if multiplicity.soak else ""),
@@ -89,7 +89,7 @@ def counted(measured: Sequence[Multiplicity]) -> str:
     return table(("program", "tests in the search", "effective number of independent tests"), rows)
 
 
-def _mean_chance(measured: Sequence[Multiplicity], cause: str) -> float:
+def _compute_measured_power(measured: Sequence[Multiplicity], cause: str) -> float:
     with_cause = [multiplicity for multiplicity in measured if cause in multiplicity.looks]
     tests = float(
         np.mean([multiplicity.effective_tests for multiplicity in with_cause or measured])
@@ -99,4 +99,4 @@ def _mean_chance(measured: Sequence[Multiplicity], cause: str) -> float:
         if with_cause
         else 1.0
     )
-    return chance_once(cause, tests, looks)
+    return compute_power(cause, tests, looks)

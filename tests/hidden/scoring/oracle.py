@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from tests.hidden.scoring.answers import HELD, HELD_RATES, opened
+from tests.hidden.scoring.answers import SECOND_RATES, SECOND_RECORDING, open_answer
 from tests.hidden.scoring.figures import Gap
 
 from gyrorig_protocol.recording.reader import read_recording
@@ -23,55 +23,57 @@ from gyrorig_solver.estimate import GAIN_PARAMETERS, ConvergedFit
 from gyrorig_solver.model.catalogue import catalogue
 from gyrorig_solver.pipeline.prepare_board import prepare_held_out
 
-EVERY = 7  # every seventh sample is enough to find the start of a recording
+STEP = 7  # every seventh sample is enough to find the start of a recording
 
 
-def gap_of(case: Path, explanation: FitExplanation, seal: str) -> dict[str, Any] | None:
-    """Open a case's answer and compare its finder's model with the oracle.
+def compute_gap(case: Path, explanation: FitExplanation, seal: str) -> dict[str, Any] | None:
+    """Open the answer of a case and compare the model of the solver with the oracle.
 
-    None if a hidden cause belongs to one recording only: no model can predict it in another.
+    Return None if a hidden cause is in one recording only: no model can predict it in another.
 
     Args:
         case: folder with a second recording.
-        explanation: of the first recording; already written.
+        explanation: of the first recording; its line is already written.
         seal: of the answer.
     """
-    answer = opened(case, seal)
-    if not all(_persists(name) for name in answer.names):
+    answer = open_answer(case, seal)
+    if not all(_is_persistent(name) for name in answer.names):
         return None
-    recording = read_recording(case / HELD)
+    recording = read_recording(case / SECOND_RECORDING)
     samples = load_samples(recording, explanation.board)
-    effect = effect_on(samples, case / HELD_RATES, explanation.board)
+    effect = read_effect(samples, case / SECOND_RATES, explanation.board)
     clean = replace(samples, rate_rad_s=samples.rate_rad_s - effect)
     extended = explanation.solution_extended
-    other = prepare_held_out(recording, explanation.board, extended, samples)
+    second = prepare_held_out(recording, explanation.board, extended, samples)
     known = tuple(
         fitted_term
         for fitted_term in explanation.solution_base.fitted_terms
         if not fitted_term.free_indices.size
     )
-    truth = _with_gain(
+    truth = _replace_gain(
         replace(explanation.solution_base, fitted_terms=known), np.array(answer.gain)
     )
     oracle = prepare_held_out(recording, explanation.board, extended, clean).fit_model(truth)
-    each = {}
+    log_likelihoods = {}
     for name, model in (("base", explanation.solution_base), ("extended", extended)):
-        own_fit = other.fit_model(model)
-        each[name] = other.fit_model(model, replace(own_fit, noise=oracle.noise)).log_likelihood
+        own_fit = second.fit_model(model)
+        log_likelihoods[name] = second.fit_model(
+            model, replace(own_fit, noise=oracle.noise)
+        ).log_likelihood
     values = GAIN_PARAMETERS + sum(
         int(fitted_term.free_indices.size) for fitted_term in extended.fitted_terms
     )
-    short = oracle.log_likelihood - each["extended"]
-    gap = Gap(answer.seed, oracle.log_likelihood - each["base"], short, values)
+    short = oracle.log_likelihood - log_likelihoods["extended"]
+    gap = Gap(answer.seed, oracle.log_likelihood - log_likelihoods["base"], short, values)
     return {"nats": round(gap.nats, 3), "short": round(gap.short, 3), "values": gap.values}
 
 
-def _persists(cause: str) -> bool:
+def _is_persistent(cause: str) -> bool:
     term = catalogue().get(cause)
     return term is not None and term.scope != "recording"
 
 
-def effect_on(samples: GyroSamples, rates: Path, board: str) -> FloatArray:
+def read_effect(samples: GyroSamples, rates: Path, board: str) -> FloatArray:
     """Return the true hidden effect on each sample, (n, 3).
 
     The truth counts samples from power-up, the recording from its first sample. The best agreement
@@ -81,25 +83,25 @@ def effect_on(samples: GyroSamples, rates: Path, board: str) -> FloatArray:
         hidden = np.asarray(file[f"{board}.hidden_rad_s"], dtype=np.float64)
         aligned = np.asarray(file[f"{board}.aligned_rad_s"], dtype=np.float64)
     number = np.asarray(samples.number, dtype=np.int64)
-    begin = number_of_first(samples, hidden)
+    begin = find_first_number(samples, hidden)
     return np.asarray((hidden - aligned)[number + begin], dtype=np.float64)
 
 
-def number_of_first(samples: GyroSamples, hidden_rad_s: FloatArray) -> int:
+def find_first_number(samples: GyroSamples, hidden_rad_s: FloatArray) -> int:
     """Return the index, since power-up, of the first recorded sample.
 
     Args:
         samples: of a recording.
         hidden_rad_s: its rates without noise since power-up, (m, 3).
     """
-    number = np.asarray(samples.number, dtype=np.int64)[::EVERY]
-    words = samples.rate_rad_s[::EVERY]
+    number = np.asarray(samples.number, dtype=np.int64)[::STEP]
+    measured_rad_s = samples.rate_rad_s[::STEP]
     shifts = range(len(hidden_rad_s) - int(samples.number.max()))
-    misfit = [float(np.sum(np.abs(hidden_rad_s[number + k] - words))) for k in shifts]
+    misfit = [float(np.sum(np.abs(hidden_rad_s[number + k] - measured_rad_s))) for k in shifts]
     return shifts[int(np.argmin(misfit))]
 
 
-def _with_gain(solution: ConvergedFit, gain: FloatArray) -> ConvergedFit:
+def _replace_gain(solution: ConvergedFit, gain: FloatArray) -> ConvergedFit:
     return replace(
         solution, estimate=np.concatenate([gain.ravel(), solution.estimate[GAIN_PARAMETERS:]])
     )

@@ -1,6 +1,6 @@
 """Outcome of one case: comparison of the stated and the hidden causes.
 
-What to use when: `outcome_of` for each case with an opened answer; figures count outcomes.
+What to use when: `judge_case` for each case with an open answer; the figures count outcomes.
 """
 
 import math
@@ -10,18 +10,18 @@ from typing import Any
 
 from tests.hidden.scoring.answers import Answer
 from tests.hidden.scoring.goals import INTERVAL, TWINS
-from tests.hidden.scoring.reliability import Belief, beliefs_of
-from tests.hidden.scoring.true_values import true_values
+from tests.hidden.scoring.reliability import Belief, collect_beliefs
+from tests.hidden.scoring.true_values import convert_true_values
 
 AMONG, WRONG, MISSED, REST = "among", "wrong", "missed", "rest"
 CRASHED = "crashed"
-BROKEN: Mapping[str, Any] = {
+CRASHED_LINE: Mapping[str, Any] = {
     "raw": [], "unexplained": [], "absent": [], "calibration": {}, "not_testable": [],
     "harm_printed": False, "seconds": 0.0,
 }  # fmt: skip
 GAIN = ("scale", "nonorthogonality", "misalignment")  # parameters of the gain, before the axis
-RELABELS = {"axis_swap", "sign_flip", "wrong_full_scale"}
-MOVES_LAG = {"clock_skew", "clock_step", "lost_samples"}
+AXIS_CAUSES = {"axis_swap", "sign_flip", "wrong_full_scale"}
+LAG_CAUSES = {"clock_skew", "clock_step", "lost_samples"}
 Name = str
 
 
@@ -60,14 +60,14 @@ class Coverage:
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """One case, judged."""
+    """The judged result of one case."""
 
     seed: int
     kind: str
     program: str
     soak: bool
     fates: tuple[Fate, ...]
-    sets: tuple[tuple[str, ...], ...]  # stated, the likeliest name first
+    sets: tuple[tuple[str, ...], ...]  # stated sets, with the most probable name first
     rest: tuple[str, ...]  # covariates of the unexplained rest, the strongest first
     expected: tuple[str, ...]  # its true covariates
     covered_causes: tuple[Coverage, ...]
@@ -110,14 +110,16 @@ def is_sole(names: Sequence[str]) -> bool:
     return len(names) == 1 or frozenset(names) in TWINS
 
 
-def outcome_of(answer: Answer, line: Mapping[str, Any]) -> Outcome:
+def judge_case(answer: Answer, line: Mapping[str, Any]) -> Outcome:
     """Judge one case. A crash counts as a wrong name."""
     if "crashed" in line:
-        line = {**BROKEN, "causes": [{"set": [CRASHED]}]}
+        line = {**CRASHED_LINE, "causes": [{"set": [CRASHED]}]}
     sets = [tuple(entry["set"]) for entry in (*line["causes"], *line["raw"])]
     rest = tuple(line["unexplained"])
     fates = tuple(
-        Fate(cause.cause, cause.place, cause.times, _given_name(cause.cause, sets, answer, rest))
+        Fate(
+            cause.cause, cause.place, cause.times, _find_given_name(cause.cause, sets, answer, rest)
+        )
         for cause in answer.causes
     )
     absent = [limit for limit in line["absent"] if limit[4] is not None]
@@ -126,13 +128,13 @@ def outcome_of(answer: Answer, line: Mapping[str, Any]) -> Outcome:
         seed=answer.seed,
         kind=answer.kind,
         program=answer.program,
-        soak=answer.soak_k != 0.0,  # warmed first or cooled
+        soak=answer.soak_k != 0.0,  # warmed or cooled before the session
         fates=fates,
         sets=tuple(sets),
         rest=rest,
         expected=answer.groups,
-        covered_causes=tuple(_of_causes(answer, line)),
-        covered_calibration=tuple(_of_calibration(answer, line)),
+        covered_causes=tuple(_compare_causes(answer, line)),
+        covered_calibration=tuple(_compare_calibration(answer, line)),
         harm=None if worst is None else (str(worst[0]), float(worst[4])),
         harm_printed=bool(line["harm_printed"]),
         said_blind=set(answer.names) <= set(line["not_testable"]),
@@ -141,12 +143,12 @@ def outcome_of(answer: Answer, line: Mapping[str, Any]) -> Outcome:
         allowed=answer.allowed,
         ladder=answer.tier == "ladder",
         seconds=float(line["seconds"]),
-        beliefs=beliefs_of(answer.names[0], line) if answer.kind == "one" else (),
-        gain_sigma=_gain_sigma(answer, line),
+        beliefs=collect_beliefs(answer.names[0], line) if answer.kind == "one" else (),
+        gain_sigma=_compute_gain_sigma(answer, line),
     )
 
 
-def _given_name(
+def _find_given_name(
     cause: str, sets: Sequence[tuple[str, ...]], answer: Answer, rest: Sequence[str]
 ) -> Name:
     with_it = [names for names in sets if cause in names]
@@ -161,22 +163,22 @@ def _given_name(
     return REST if rest else (AMONG + " others" if sets else MISSED)
 
 
-def _of_causes(answer: Answer, line: Mapping[str, Any]) -> list[Coverage]:
+def _compare_causes(answer: Answer, line: Mapping[str, Any]) -> list[Coverage]:
     """Compare each named size with its true value, if the name is right and has one."""
     coverages = []
     for hidden in answer.causes:
         named = [entry for entry in line["causes"] if entry["set"][0] == hidden.cause]
         for entry in named[:1]:
-            true_of = true_values(hidden.cause, hidden.place, hidden.parameters)
-            for name, true in true_of:
+            true_sizes = convert_true_values(hidden.cause, hidden.place, hidden.parameters)
+            for name, true in true_sizes:
                 value, std = entry["values"].get(name, (None, None))
                 if value is not None and std and name in entry["sizes"]:
                     coverages.append(Coverage(f"{hidden.cause}.{name}", (value - true) / std))
     return coverages
 
 
-def _gain_sigma(answer: Answer, line: Mapping[str, Any]) -> float | None:
-    """Return the largest error of the gain, None where nothing is stated or can be compared."""
+def _compute_gain_sigma(answer: Answer, line: Mapping[str, Any]) -> float | None:
+    """Return the largest error of the gain, None if no entry is stated or comparable."""
     errors = [
         abs(line["calibration"][name][0] - true) / line["total_std"][name]
         for name, true in answer.calibration.items()
@@ -184,21 +186,21 @@ def _gain_sigma(answer: Answer, line: Mapping[str, Any]) -> float | None:
         and line.get("total_std", {}).get(name)
         and math.isfinite(true)
     ]
-    return None if set(answer.names) & RELABELS else max(errors, default=None)
+    return None if set(answer.names) & AXIS_CAUSES else max(errors, default=None)
 
 
-def _of_calibration(answer: Answer, line: Mapping[str, Any]) -> list[Coverage]:
-    """Compare the calibration after selection, where a true value exists.
+def _compare_calibration(answer: Answer, line: Mapping[str, Any]) -> list[Coverage]:
+    """Compare the calibration after selection with the true values.
 
     With exchanged or inverted axes the gain has another definition. A lag that changes is not a
     single time offset.
     """
     hidden = set(answer.names)
-    if hidden & RELABELS:
+    if hidden & AXIS_CAUSES:
         return []
     coverages = []
     for name, true in answer.calibration.items():
-        if name == "time_offset" and hidden & MOVES_LAG:
+        if name == "time_offset" and hidden & LAG_CAUSES:
             continue
         value, std, _ = line["calibration"].get(name, (None, None, None))
         if value is not None and std and math.isfinite(true):

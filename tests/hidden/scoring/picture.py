@@ -7,7 +7,7 @@ from collections import Counter
 from collections.abc import Sequence
 from html import escape
 
-from tests.hidden.scoring.figures import confusion
+from tests.hidden.scoring.figures import count_confusions
 from tests.hidden.scoring.outcome import AMONG, MISSED, REST, Outcome
 
 CELL, LEFT, TOP = 18, 190, 170
@@ -23,14 +23,14 @@ def confusion_picture(outcomes: Sequence[Outcome]) -> str:
     """Return the SVG: one row per hidden cause, one column per stated name."""
     counts: dict[str, Counter[str]] = {}
     for times in (2.0, 3.0):
-        for cause, counter in confusion(outcomes, times).items():
+        for cause, counter in count_confusions(outcomes, times).items():
             counts.setdefault(cause, Counter()).update(counter)
     rows = sorted(counts)
     others = sorted({name for counter in counts.values() for name in counter} - {*rows})
     last = [name for name in (AMONG, REST, MISSED) if name in others]
     columns = [*rows, *(name for name in others if name not in last), *last]
     width, height = LEFT + CELL * len(columns) + 20, TOP + CELL * len(rows) + 40
-    body = [*_names(rows, columns), *_cells(counts, rows, columns)]
+    body = [*_draw_names(rows, columns), *_draw_cells(counts, rows, columns)]
     return (
         f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width} {height}" role="img" '
         'aria-labelledby="title" font-family="system-ui, sans-serif">\n'
@@ -43,7 +43,7 @@ def confusion_picture(outcomes: Sequence[Outcome]) -> str:
     )
 
 
-def _names(rows: Sequence[str], columns: Sequence[str]) -> list[str]:
+def _draw_names(rows: Sequence[str], columns: Sequence[str]) -> list[str]:
     out = []
     for k, name in enumerate(rows):
         y = TOP + CELL * k + 13
@@ -57,7 +57,7 @@ def _names(rows: Sequence[str], columns: Sequence[str]) -> list[str]:
     return out
 
 
-def _cells(
+def _draw_cells(
     counts: dict[str, Counter[str]], rows: Sequence[str], columns: Sequence[str]
 ) -> list[str]:
     out = []

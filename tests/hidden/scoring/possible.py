@@ -6,7 +6,8 @@ between the two, the difference has the distribution N(l / 2, l), and the probab
 Phi((l / 2 - ln 19) / sqrt(l)). The mean of these probabilities is an upper bound for every method
 with correct probabilities. More rivals, or an unknown shape, reduce the share further.
 
-What to use when: `Bound` is one case; `possible` the share; scoring/bound.py measures them.
+What to use when: `Bound` for one case; `compute_largest_share` for the share; scoring/bound.py
+measures the bounds.
 """
 
 import math
@@ -14,7 +15,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from statistics import NormalDist
 
-AHEAD = math.log(0.95 / 0.05)  # nats
+LEAD_NATS = math.log(0.95 / 0.05)  # nats
 _LEAST = 1e-12
 
 
@@ -34,9 +35,9 @@ class Bound:
     def chance(self) -> float:
         """Probability that the cause can be stated alone."""
         root = math.sqrt(max(self.noncentrality, _LEAST))
-        return NormalDist().cdf((0.5 * self.noncentrality - AHEAD) / root)
+        return NormalDist().cdf((0.5 * self.noncentrality - LEAD_NATS) / root)
 
 
-def possible(bounds: Sequence[Bound]) -> float:
+def compute_largest_share(bounds: Sequence[Bound]) -> float:
     """Return the largest share of cases that can be stated alone, NaN for none."""
     return sum(bound.chance for bound in bounds) / len(bounds) if bounds else math.nan

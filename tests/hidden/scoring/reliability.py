@@ -4,7 +4,7 @@ In a session with one hidden cause of the catalogue, a ranking gives each cause 
 posterior probability. Of all names with a probability near p, a share near p must be the hidden
 cause. The rows are those of a reliability diagram.
 
-What to use when: `beliefs_of` for a case; `table_text` for all of them.
+What to use when: `collect_beliefs` for a case; `table_text` for the table of all cases.
 
 Source: DeGroot and Fienberg, The Statistician 32 (1983) 12.
 """
@@ -58,7 +58,7 @@ class ReliabilityRow:
         return low <= self.right / self.names <= high
 
 
-def beliefs_of(hidden_cause: str, line: Mapping[str, Any]) -> tuple[Belief, ...]:
+def collect_beliefs(hidden_cause: str, line: Mapping[str, Any]) -> tuple[Belief, ...]:
     """Return the names that the ranking of a case compared; () without a single stated set.
 
     Twins of the catalogue count as one name.

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 
 import numpy as np
 from docs.markdown import table
-from tests.hidden.scoring.goals import SEEN
+from tests.hidden.scoring.goals import DETECTABLE
 from tests.hidden.scoring.outcome import Fate, Outcome
 from tests.hidden.scoring.shares import Share
 
@@ -25,7 +25,7 @@ def rigs_table(outcomes: Sequence[Outcome]) -> str:
     wrong = Counter(name for outcome in chosen for names in outcome.extra for name in names)
     rows = []
     for cause, group in sorted(fates.items()):
-        seen = [fate for fate in group if fate.times >= SEEN]
+        seen = [fate for fate in group if fate.times >= DETECTABLE]
         times = [fate.times for fate in group]
         rows.append(
             (f"`{cause}`", f"{np.median(times):.1f}x ({min(times):.1f}x to {max(times):.1f}x)",

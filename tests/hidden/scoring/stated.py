@@ -1,7 +1,7 @@
 """Explanation of one recording as one line of JSON, written before any answer is opened.
 
-What to use when: `explained` for the shipped solver, or for the replacement `look`; `line_of` for
-the line that is stored.
+What to use when: `explain_recording` for the shipped solver or a replacement of its search;
+`make_line` for the stored line.
 """
 
 import math
@@ -39,10 +39,10 @@ from gyrorig_solver.findings.findings_document import BoardEntry, InputEntry
 from gyrorig_solver.model import value_indices, value_names
 from gyrorig_solver.uncertainty import assess_uncertainty
 
-Look = Callable[[Sequence[Recording], str], FitExplanation]
-NOTHING_OPENED = "2000-01-01T00:00:00Z"  # a fixed time, so that documents can be compared
+Explainer = Callable[[Sequence[Recording], str], FitExplanation]
+CREATED = "2000-01-01T00:00:00Z"  # a fixed time, so that documents can be compared
 DIGITS = 7
-MOVES_BIAS = ("bias_ramp", "bias_step", "thermal_bias", "warm_up")
+BIAS_CAUSES = ("bias_ramp", "bias_step", "thermal_bias", "warm_up")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -50,16 +50,16 @@ class StatedExplanation:
     """Explanation of one recording, with its fits."""
 
     recording: Recording
-    explained: FitExplanation
+    explanation: FitExplanation
     document: FindingsDocument
 
 
-def explained(path: Path, look: Look = explain_recordings) -> StatedExplanation:
+def explain_recording(path: Path, explain: Explainer = explain_recordings) -> StatedExplanation:
     """Explain the first board of a recording as `gyrorig explain` does, without pictures."""
     recording = read_recording(path)
     board = recording.board_ids[0]
     raw = [RawChecks(recording.path.name, check_stream(load_samples(recording, board)))]
-    explanation = look([recording], board)
+    explanation = explain([recording], board)
     metadata = recording.metadata.get(f"gyrorig.board.{board}", {})
     profile = find_profile(metadata.get("sensor", ""))
     tolerance = None if profile is None else profile.scale_tolerance
@@ -68,7 +68,7 @@ def explained(path: Path, look: Look = explain_recordings) -> StatedExplanation:
     origin = FindingsOrigin(
         BoardEntry(board, metadata.get("sensor", "")),
         [InputEntry(recording.path.name, recording.sha256)],
-        NOTHING_OPENED,
+        CREATED,
         "",
     )
     return StatedExplanation(
@@ -76,58 +76,60 @@ def explained(path: Path, look: Look = explain_recordings) -> StatedExplanation:
     )
 
 
-def line_of(seed: int, variant: str, stated: StatedExplanation) -> dict[str, Any]:
+def make_line(seed: int, variant: str, stated: StatedExplanation) -> dict[str, Any]:
     """Return the stored line: names, sizes, rest, calibration, limits; plain JSON."""
-    findings = stated.explained.findings
+    findings = stated.explanation.findings
     rest = findings.unexplained
     named = {cause.cause for cause in findings.causes}
     return {
         "seed": seed,
         "variant": variant,
         "verdict": stated.document.verdict,
-        "causes": [_named(cause) for cause in findings.causes],
-        "raw": [_raw(cause) for cause in stated.document.causes if cause.cause not in named],
+        "causes": [_describe_cause(cause) for cause in findings.causes],
+        "raw": [
+            _describe_raw(cause) for cause in stated.document.causes if cause.cause not in named
+        ],
         "unexplained": [s.covariate for s in (rest.leading, *rest.others)] if rest else [],
         "signatures": [s.covariate for s in findings.dependence_tests[:3]],
-        "nats": _short(findings.gain.log_likelihood.value) if findings.gain else None,
-        "calibration": _calibration(stated.explained),
-        "total_std": _total_std(stated.explained.solution_extended),
+        "nats": _round(findings.gain.log_likelihood.value) if findings.gain else None,
+        "calibration": _list_calibration(stated.explanation),
+        "total_std": _list_total_std(stated.explanation.solution_extended),
         "absent": [
             [
                 detection_limit.cause,
                 detection_limit.where,
-                _short(detection_limit.size),
+                _round(detection_limit.size),
                 detection_limit.biased_parameter,
-                _short(detection_limit.parameter_bias_sigma),
+                _round(detection_limit.parameter_bias_sigma),
             ]
             for detection_limit in findings.detection_limits
         ],
         "not_testable": sorted({entry.cause for entry in stated.document.not_testable}),
-        "harm_printed": _harm_printed(findings, stated.document),
+        "harm_printed": _is_harm_printed(findings, stated.document),
         "seconds": round(findings.duration_s, 2),
     }
 
 
-def _named(cause: NamedCause) -> dict[str, Any]:
+def _describe_cause(cause: NamedCause) -> dict[str, Any]:
     return {
         "set": list(cause.candidates),
         "where": list(cause.where),
-        "values": {v.name: [_short(v.value), _short(v.std)] for v in cause.values},
+        "values": {v.name: [_round(v.value), _round(v.std)] for v in cause.values},
         "free": int(cause.extension.free_indices.size),
         "sizes": [value_names(cause.term)[k] for k in value_indices(cause.term, role="size")],
-        "statistic": _short(cause.statistic),
-        "posterior": _short(cause.posterior),
-        "rivals": {rival.cause: _short(rival.posterior) for rival in cause.rivals},
-        "harm_sigma": _short(cause.parameter_bias_sigma),
-        "sigma": {c.parameter: _short(c.sigma) for c in cause.changes[:3]},
+        "statistic": _round(cause.statistic),
+        "posterior": _round(cause.posterior),
+        "rivals": {rival.cause: _round(rival.posterior) for rival in cause.rivals},
+        "harm_sigma": _round(cause.parameter_bias_sigma),
+        "sigma": {c.parameter: _round(c.sigma) for c in cause.changes[:3]},
     }
 
 
-def _raw(entry: CauseEntry) -> dict[str, Any]:
+def _describe_raw(entry: CauseEntry) -> dict[str, Any]:
     return {"set": [entry.cause, *entry.one_of], "where": entry.where}
 
 
-def _calibration(explanation: FitExplanation) -> dict[str, list[float | None]]:
+def _list_calibration(explanation: FitExplanation) -> dict[str, list[float | None]]:
     """Return value and uncertainty of each parameter with the named causes, and its base value.
 
     The true bias is the mean over the recording. With a named cause that changes the bias, the
@@ -138,55 +140,57 @@ def _calibration(explanation: FitExplanation) -> dict[str, list[float | None]]:
         CalibrationValues.of(explanation.solution_base),
     )
     value, std = after.values.copy(), after.std.copy()
-    shift, variance = _mean_of_moves(explanation.solution_extended)
+    shift, variance = _compute_mean_bias_change(explanation.solution_extended)
     at = [k for k, name in enumerate(CALIBRATION_PARAMETERS) if name.startswith("bias.")]
     value[at] += shift
     std[at] = np.where(np.isfinite(std[at]), np.sqrt(variance), np.nan)
     return {
-        name: [_short(float(value[k])), _short(float(std[k])), _short(float(before.values[k]))]
+        name: [_round(float(value[k])), _round(float(std[k])), _round(float(before.values[k]))]
         for k, name in enumerate(CALIBRATION_PARAMETERS)
     }
 
 
-def _total_std(solution: ConvergedFit) -> dict[str, float | None]:
+def _list_total_std(solution: ConvergedFit) -> dict[str, float | None]:
     """Return the total standard uncertainty of each parameter, as `gyrorig solve` states it."""
     noise_std, budget_std = CalibrationValues.of(solution).std, assess_uncertainty(solution).std
     total = np.hypot(noise_std, budget_std)
     return {
-        name: _short(float(std)) for name, std in zip(CALIBRATION_PARAMETERS, total, strict=True)
+        name: _round(float(std)) for name, std in zip(CALIBRATION_PARAMETERS, total, strict=True)
     }
 
 
-def _mean_of_moves(solution: ConvergedFit) -> tuple[FloatArray, FloatArray]:
+def _compute_mean_bias_change(solution: ConvergedFit) -> tuple[FloatArray, FloatArray]:
     """Return the mean bias change of the named causes, (3,), and the variance of the sum."""
     covariance = solution.observability.covariance
     indices = np.arange(GAIN_PARAMETERS, GAIN_PARAMETERS + 3)
     moving = [
-        fitted_term for fitted_term in solution.fitted_terms if fitted_term.term.cause in MOVES_BIAS
+        fitted_term
+        for fitted_term in solution.fitted_terms
+        if fitted_term.term.cause in BIAS_CAUSES
     ]
     if not moving:
         return np.zeros(3), np.diag(covariance)[indices]
-    shift, blocks = np.zeros(3), 0
-    along = np.zeros((3, covariance.shape[0]))
+    shift, block_count = np.zeros(3), 0
+    directions = np.zeros((3, covariance.shape[0]))
     for _, _, model, _, scene in solution.sessions[-1].iter_derivatives(solution.gain):
-        blocks += int(model.used.sum())
+        block_count += int(model.used.sum())
         at = GAIN_PARAMETERS + SESSION_PARAMETERS
         for fitted_term in solution.fitted_terms:
-            if fitted_term.term.cause in MOVES_BIAS:
+            if fitted_term.term.cause in BIAS_CAUSES:
                 shift += fitted_term.term.effect(scene, fitted_term.values)[model.used].sum(axis=0)
                 columns = fitted_term.term.jacobian(scene, fitted_term.values)[
                     fitted_term.free_indices
                 ]
-                along[:, at : at + fitted_term.free_indices.size] += (
+                directions[:, at : at + fitted_term.free_indices.size] += (
                     columns[:, model.used].sum(axis=1).T
                 )
             at += fitted_term.free_indices.size
-    along /= blocks
-    along[:, indices] += np.eye(3)
-    return shift / blocks, np.einsum("ij,jk,ik->i", along, covariance, along)
+    directions /= block_count
+    directions[:, indices] += np.eye(3)
+    return shift / block_count, np.einsum("ij,jk,ik->i", directions, covariance, directions)
 
 
-def _harm_printed(findings: CauseFindings, document: FindingsDocument) -> bool:
+def _is_harm_printed(findings: CauseFindings, document: FindingsDocument) -> bool:
     """Return whether the largest undetected bias is in the document and in the summary."""
     if not findings.detection_limits:
         return True
@@ -201,6 +205,6 @@ def _harm_printed(findings: CauseFindings, document: FindingsDocument) -> bool:
     return is_printed and f"not detectable here   {worst.cause}" in findings_summary(document)
 
 
-def _short(value: float) -> float | None:
+def _round(value: float) -> float | None:
     """Return a number rounded for the comparison, None if it is not finite."""
     return float(f"{value:.{DIGITS}g}") if math.isfinite(value) else None

@@ -12,20 +12,20 @@ from docs.markdown import table
 from tests.hidden.scoring.figures import (
     IN_CATALOGUE,
     Gap,
-    by_cause,
-    figures,
-    largest,
-    missed,
-    on_rung,
-    precision,
-    recall,
-    right_group,
-    sole_right,
+    compute_figures,
+    compute_precision,
+    compute_recall,
+    find_largest,
+    find_missed_goals,
+    group_by_cause,
+    has_right_group,
+    is_on_rung,
+    is_sole_right,
 )
-from tests.hidden.scoring.goals import BOUND, GOALS, HIDDEN, NULLS, RUNG_WIDTH, RUNGS, Goal
+from tests.hidden.scoring.goals import GOALS, HIDDEN, NAMED_TIMES, NULLS, RUNG_WIDTH, RUNGS, Goal
 from tests.hidden.scoring.once import Multiplicity
 from tests.hidden.scoring.outcome import AMONG, Outcome, is_sole
-from tests.hidden.scoring.possible import Bound, possible
+from tests.hidden.scoring.possible import Bound, compute_largest_share
 from tests.hidden.scoring.shares import Share
 
 KINDS = ("null", "one", "two", "many", "rig", "outside", "nearly", "unobservable")
@@ -57,16 +57,16 @@ def cases(outcomes: Outcomes) -> str:
     )
 
 
-def reached(outcomes: Outcomes) -> str:
-    """Return how many of the required sessions were run."""
-    alone = sum(outcome.kind == "null" for outcome in outcomes)
-    other = len(outcomes) - alone
+def session_counts(outcomes: Outcomes) -> str:
+    """Return the number of sessions in the run, compared with the planned number."""
+    null_count = sum(outcome.kind == "null" for outcome in outcomes)
+    other_count = len(outcomes) - null_count
     lines = [
         f"- The test ran {count} of {planned} planned sessions {kind}"
         + ("." if count >= planned else ", so the confidence limits are wider than planned.")
         for kind, count, planned in (
-            ("without a hidden cause", alone, NULLS),
-            ("with a hidden effect", other, HIDDEN),
+            ("without a hidden cause", null_count, NULLS),
+            ("with a hidden effect", other_count, HIDDEN),
         )
     ]
     return "\n".join(lines)
@@ -79,28 +79,30 @@ def goals(
     measured: Sequence[Multiplicity] = (),
 ) -> str:
     """Return every goal with its figure."""
-    results = figures(outcomes, gaps, bounds, measured)
-    failed = {(goal.number, goal.name) for goal in missed(results)}
+    results = compute_figures(outcomes, gaps, bounds, measured)
+    failed = {(goal.number, goal.name) for goal in find_missed_goals(results)}
     rows = []
     for goal in GOALS:
         figure = results[goal.name]
         verdict = "missed" if (goal.number, goal.name) in failed else "met"
         if np.isnan(figure.value):
             verdict = "not measured"
-        value = _value(goal, figure.value)
-        rows.append((str(goal.number), goal.words, limit_text(goal), value, figure.words, verdict))
+        value = _format_value(goal, figure.value)
+        rows.append(
+            (str(goal.number), goal.words, format_limit(goal), value, figure.words, verdict)
+        )
     return table(("no.", "goal", "limit", "result", "derivation of the result", "verdict"), rows)
 
 
-def limit_text(goal: Goal) -> str:
+def format_limit(goal: Goal) -> str:
     """Return the limit of a goal."""
-    low, high = (None if v is None else _value(goal, v) for v in (goal.low, goal.high))
+    low, high = (None if v is None else _format_value(goal, v) for v in (goal.low, goal.high))
     if low is not None and high is not None:
         return f"{low} to {high}"
     return f"≥ {low}" if low is not None else f"≤ {high}"
 
 
-def _value(goal: Goal, value: float) -> str:
+def _format_value(goal: Goal, value: float) -> str:
     if np.isnan(value):
         return ""
     if goal.name == "gap":
@@ -108,13 +110,13 @@ def _value(goal: Goal, value: float) -> str:
     return f"{value:.0f}" if goal.name == "wrong_names" else f"{100.0 * value:.4g} %"
 
 
-def nulls(outcomes: Outcomes) -> str:
+def false_alarms(outcomes: Outcomes) -> str:
     """Return the false alarms by program, and their names."""
     chosen = [outcome for outcome in outcomes if outcome.kind == "null"]
     rows = []
-    for program, group in _grouped(chosen, lambda outcome: outcome.program):
+    for program, group in _group(chosen, lambda outcome: outcome.program):
         alarms = [outcome for outcome in group if outcome.alarmed]
-        names = Counter(_names_text(outcome) for outcome in alarms)
+        names = Counter(_format_names(outcome) for outcome in alarms)
         words = "; ".join(f"{text} ({n})" for text, n in names.most_common())
         rows.append((f"`{program}`", str(Share(len(alarms), len(group))), words))
     return table(("program", "sessions with a false alarm", "reported causes"), rows)
@@ -124,16 +126,16 @@ def causes(outcomes: Outcomes) -> str:
     """Return the result for each cause hidden alone, at each size."""
     plain = [outcome for outcome in outcomes if not outcome.soak]
     soaked = [outcome for outcome in outcomes if outcome.soak]
-    at = {rung: by_cause(plain, rung) for rung in RUNGS}
-    soak = [o for o in soaked if o.kind == "one" and (on_rung(o, 2.0) or on_rung(o, 3.0))]
+    at = {rung: group_by_cause(plain, rung) for rung in RUNGS}
+    soak = [o for o in soaked if o.kind == "one" and (is_on_rung(o, 2.0) or is_on_rung(o, 3.0))]
     names = sorted({name for counts in at.values() for name in counts})
     rows = []
     for name in names:
         once = at[1.0].get(name, [])
         cells = [f"{sum(outcome.alarmed for outcome in once)} of {len(once)}"]
         for rung in RUNGS[1:]:
-            cells.append(_fates(at[rung].get(name, [])))
-        cells.append(_fates([outcome for outcome in soak if outcome.fates[0].cause == name]))
+            cells.append(_format_fates(at[rung].get(name, [])))
+        cells.append(_format_fates([outcome for outcome in soak if outcome.fates[0].cause == name]))
         rows.append((f"`{name}`", *cells))
     head = (
         "cause",
@@ -145,17 +147,17 @@ def causes(outcomes: Outcomes) -> str:
     return table(head, rows)
 
 
-def _fates(group: Outcomes) -> str:
+def _format_fates(group: Outcomes) -> str:
     """Return how often the name was right and alone, and the other results."""
     if not group:
         return ""
-    right = sum(sole_right(outcome) for outcome in group)
-    other = Counter(_instead(outcome) for outcome in group if not sole_right(outcome))
+    right = sum(is_sole_right(outcome) for outcome in group)
+    other = Counter(_describe_result(outcome) for outcome in group if not is_sole_right(outcome))
     words = ", ".join(f"{n} {text}" for text, n in other.most_common())
     return f"{right} of {len(group)}" + (f"; {words}" if words else "")
 
 
-def _instead(outcome: Outcome) -> str:
+def _describe_result(outcome: Outcome) -> str:
     (fate,) = outcome.fates
     if fate.sole:
         return "with an additional wrong name"
@@ -164,7 +166,7 @@ def _instead(outcome: Outcome) -> str:
     return fate.said
 
 
-def confused(outcomes: Outcomes) -> str:
+def wrong_names(outcomes: Outcomes) -> str:
     """Return every case at 2x or more with a stated set that contains no hidden cause."""
     rows = [
         (
@@ -176,7 +178,7 @@ def confused(outcomes: Outcomes) -> str:
         )
         for outcome in outcomes
         if outcome.kind in IN_CATALOGUE
-        and largest(outcome) >= BOUND * (1.0 - RUNG_WIDTH)
+        and find_largest(outcome) >= NAMED_TIMES * (1.0 - RUNG_WIDTH)
         and outcome.extra
     ]
     if not rows:
@@ -186,13 +188,11 @@ def confused(outcomes: Outcomes) -> str:
     )
 
 
-def inseparable(bounds_: Sequence[Bound]) -> str:
+def inseparable(bounds: Sequence[Bound]) -> str:
     """Return the causes with a similar rival, and the bound on right names."""
     rows = []
-    for cause, group in _grouped(bounds_, lambda bound: bound.cause):
-        at_two = [
-            bound.chance for bound in group if bound.times > 1.5
-        ]  # goals for names begin at 2x
+    for cause, group in _group(bounds, lambda bound: bound.cause):
+        at_two = [bound.chance for bound in group if bound.times > 1.5]  # goals begin at 2x
         if not at_two or min(at_two) >= DOUBTFUL:
             continue
         cells = []
@@ -200,13 +200,13 @@ def inseparable(bounds_: Sequence[Bound]) -> str:
             chosen = [
                 o for o in group if abs(o.times / rung - 1.0) <= RUNG_WIDTH and o.soak == soak
             ]
-            cells.append(f"{100.0 * possible(chosen):.0f} %" if chosen else "")
+            cells.append(f"{100.0 * compute_largest_share(chosen):.0f} %" if chosen else "")
         rivals = Counter(bound.rival for bound in group).most_common(2)
         left = np.median([bound.left for bound in group])
         names = ", ".join(f"`{name}`" for name, _ in rivals)
         rows.append((f"`{cause}`", names, f"{100.0 * left:.1f} %", *cells))
     if not rows:
-        return "None." if bounds_ else "Not measured."
+        return "None." if bounds else "Not measured."
     head = (
         "cause",
         "best rival",
@@ -223,7 +223,7 @@ def shapes(outcomes: Outcomes) -> str:
     """Return the results for shapes outside the catalogue or similar to a cause."""
     rows = []
     chosen = [outcome for outcome in outcomes if outcome.kind in ("outside", "nearly")]
-    for (kind, name), group in _grouped(chosen, lambda outcome: (outcome.kind, _shape(outcome))):
+    for (kind, name), group in _group(chosen, lambda o: (o.kind, _format_shapes(o))):
         wrong = sum(
             any(is_sole(names) and outcome.near not in names for names in outcome.sets)
             for outcome in group
@@ -233,9 +233,9 @@ def shapes(outcomes: Outcomes) -> str:
                 kind,
                 name,
                 str(len(group)),
-                f"{min(map(largest, group)):.1f} to {max(map(largest, group)):.1f}",
+                f"{min(map(find_largest, group)):.1f} to {max(map(find_largest, group)):.1f}",
                 str(sum(bool(outcome.rest) for outcome in group)),
-                str(sum(right_group(outcome) for outcome in group)),
+                str(sum(has_right_group(outcome) for outcome in group)),
                 str(wrong),
             )
         )
@@ -251,11 +251,11 @@ def shapes(outcomes: Outcomes) -> str:
     return table(head, rows)
 
 
-def _shape(outcome: Outcome) -> str:
+def _format_shapes(outcome: Outcome) -> str:
     return ", ".join(fate.cause.partition(":")[2] or fate.cause for fate in outcome.fates)
 
 
-def blind(outcomes: Outcomes) -> str:
+def unobservable(outcomes: Outcomes) -> str:
     """Return the results for unobservable causes and inseparable pairs."""
     hidden = [outcome for outcome in outcomes if outcome.kind == "unobservable"]
     silent = Share(sum(not outcome.alarmed for outcome in hidden), len(hidden))
@@ -282,15 +282,14 @@ def blind(outcomes: Outcomes) -> str:
     return table(("test", "share of right results"), rows)
 
 
-def many(outcomes: Outcomes) -> str:
+def several_causes(outcomes: Outcomes) -> str:
     """Return the results for several causes at once."""
     rows = []
     chosen = [outcome for outcome in outcomes if outcome.kind in ("two", "many")]
-    for count, group in _grouped(chosen, lambda outcome: len(outcome.fates)):
+    for count, group in _group(chosen, lambda outcome: len(outcome.fates)):
+        recall, precision = compute_recall(group), compute_precision(group)
         rest = Share(sum(bool(outcome.rest) for outcome in group), len(group))
-        rows.append(
-            (str(count), str(len(group)), str(recall(group)), str(precision(group)), str(rest))
-        )
+        rows.append((str(count), str(len(group)), str(recall), str(precision), str(rest)))
     head = (
         "hidden causes",
         "sessions",
@@ -301,16 +300,16 @@ def many(outcomes: Outcomes) -> str:
     return table(head, rows)
 
 
-def gaps(gaps_: Sequence[Gap]) -> str:
+def oracle_gaps(gaps: Sequence[Gap]) -> str:
     """Return the gap to the oracle on second recordings."""
-    if not gaps_:
+    if not gaps:
         return "None measured."
-    short = np.array([gap.short for gap in gaps_])
-    share = np.array([1.0 - gap.short / gap.nats for gap in gaps_ if gap.nats > 0.0])
-    allowed = np.array([gap.allowed for gap in gaps_])
+    short = np.array([gap.short for gap in gaps])
+    share = np.array([1.0 - gap.short / gap.nats for gap in gaps if gap.nats > 0.0])
+    allowed = np.array([gap.allowed for gap in gaps])
     quarters = ", ".join(f"{v:.1f}" for v in np.percentile(short, (25, 50, 75)))
     rows = [
-        ("number of second recordings", str(len(gaps_))),
+        ("number of second recordings", str(len(gaps))),
         ("difference from the oracle in nats: lower quartile, median, upper quartile", quarters),
         ("allowed difference p/2 + 1 in nats: median", f"{np.median(allowed):.1f}"),
         ("share of the oracle's gain: median, minimum",
@@ -319,7 +318,7 @@ def gaps(gaps_: Sequence[Gap]) -> str:
     return table(("quantity", "result"), rows)
 
 
-def covered(outcomes: Outcomes) -> str:
+def coverage(outcomes: Outcomes) -> str:
     """Return the coverage by calibration parameter and by cause."""
     kinds = ("null", *IN_CATALOGUE)
     chosen = [outcome for outcome in outcomes if outcome.kind in kinds]
@@ -348,7 +347,7 @@ def harm(outcomes: Outcomes) -> str:
         outcome for outcome in outcomes if outcome.kind == "null" and outcome.harm is not None
     ]
     rows = []
-    for program, group in _grouped(chosen, lambda outcome: outcome.program):
+    for program, group in _group(chosen, lambda outcome: outcome.program):
         worst = [outcome.harm for outcome in group if outcome.harm is not None]
         top, sigma = max(worst, key=lambda entry: entry[1])
         names = Counter(name for name, _ in worst).most_common(2)
@@ -372,25 +371,23 @@ def harm(outcomes: Outcomes) -> str:
     return table(head, rows)
 
 
-def seconds(outcomes: Outcomes) -> str:
+def durations(outcomes: Outcomes) -> str:
     """Return the duration of an explanation, with both cores busy."""
     rows = []
-    for (kind, program), group in _grouped(
-        outcomes, lambda outcome: (outcome.kind, outcome.program)
-    ):
-        took = [outcome.seconds for outcome in group]
+    for (kind, program), group in _group(outcomes, lambda outcome: (outcome.kind, outcome.program)):
+        all_s = [outcome.seconds for outcome in group]
         rows.append(
-            (kind, f"`{program}`", str(len(took)), f"{np.median(took):.1f}", f"{max(took):.1f}")
+            (kind, f"`{program}`", str(len(all_s)), f"{np.median(all_s):.1f}", f"{max(all_s):.1f}")
         )
     return table(("kind", "program", "sessions", "median, s", "longest, s"), rows)
 
 
-def _names_text(outcome: Outcome) -> str:
+def _format_names(outcome: Outcome) -> str:
     names = " + ".join(" or ".join(names) for names in outcome.sets)
     return names or f"unexplained: {outcome.rest[0]}"
 
 
-def _grouped(outcomes: Sequence[T], key: Callable[[T], K]) -> list[tuple[K, list[T]]]:
+def _group(outcomes: Sequence[T], key: Callable[[T], K]) -> list[tuple[K, list[T]]]:
     groups: dict[K, list[T]] = {}
     for outcome in outcomes:
         groups.setdefault(key(outcome), []).append(outcome)

@@ -1,4 +1,4 @@
-"""Mapping from the parameters of the truth to those of the solver, to test the intervals.
+"""Convert the parameters of the truth to those of the solver, for the test of the intervals.
 
 Both sides defined names, units and signs independently; only this module knows both. Phases
 and events are not compared, only sizes.
@@ -53,14 +53,14 @@ HARMONICS: Mapping[str, tuple[str, str]] = {
 }
 
 
-def true_values(
+def convert_true_values(
     cause: str, place: str | None, parameters: Mapping[str, float]
 ) -> Iterator[tuple[str, float]]:
     """Yield the solver's name and the true value of each size that can be compared.
 
     Args:
         cause: from the catalogue.
-        place: where it acts, in the words of the truth: pan, tilt, axes of the sensor, or all.
+        place: in the notation of the truth: pan, tilt, axes of the sensor, or all.
         parameters: of the truth, values per axis as name.x and so on.
     """
     if cause == "g_sensitivity":
@@ -73,13 +73,13 @@ def true_values(
             yield f"cosine.{part}", amplitude * math.sin(phase)
             yield f"sine.{part}", amplitude * math.cos(phase)
         return
-    for given_name, name, turned in RULES.get(cause, ()):
+    for given_name, name, convert in RULES.get(cause, ()):
         for parameter, value in parameters.items():
             stem, _, axis = parameter.partition(".")
             if stem != given_name:
                 continue
             if axis:
-                yield f"{name}.{axis}", turned(value)
+                yield f"{name}.{axis}", convert(value)
             else:
-                yield name, turned(value)
-                yield from ((f"{name}.{part}", turned(value)) for part in at if part)
+                yield name, convert(value)
+                yield from ((f"{name}.{part}", convert(value)) for part in at if part)

@@ -1,9 +1,9 @@
 """The shipped solver, and deliberately degraded variants that the goals must detect.
 
-The product does not know the variants: each one patches a single rule from outside.
+The solver does not contain the variants: each variant patches a single rule from outside.
 
-What to use when: `VARIANTS` by name; `explain` explains recordings, `line_of` can change
-the result.
+What to use when: `VARIANTS` by name; `explain` explains recordings, `change_line` can change the
+result.
 """
 
 import sys
@@ -14,7 +14,7 @@ from typing import Any
 from unittest.mock import patch
 
 import numpy as np
-from tests.hidden.scoring.stated import Look, StatedExplanation
+from tests.hidden.scoring.stated import Explainer, StatedExplanation
 from tests.support.board_fits import explain_recordings
 
 from gyrorig_protocol.recording.recording import Recording
@@ -33,7 +33,7 @@ from gyrorig_solver.estimate import (
 from gyrorig_solver.estimate.noise.noise_model import Sampling, fit_noise_levels
 from gyrorig_solver.model.catalogue import catalogue
 
-WHITE = 1e-9  # factor on a level: negligible, but its logarithm is finite
+NEGLIGIBLE = 1e-9  # factor on a level: negligible, but its logarithm is finite
 Line = dict[str, Any]
 
 
@@ -42,23 +42,23 @@ class Variant:
     """One variant of the solver."""
 
     words: str
-    explain: Look
-    line_of: Callable[[Line, StatedExplanation], Line]
+    explain: Explainer
+    change_line: Callable[[Line, StatedExplanation], Line]
 
 
 def _explain(recordings: Sequence[Recording], board: str) -> FitExplanation:
     return explain_recordings(recordings, board)
 
 
-def _white_only(recordings: Sequence[Recording], board: str) -> FitExplanation:
+def _explain_white_only(recordings: Sequence[Recording], board: str) -> FitExplanation:
     """Weight all frequencies equally, as if the bias had no random walk."""
 
-    def levels(
+    def fit_white_levels(
         spectrum: Spectrum, sampling: Sampling, before: FloatArray | None = None
     ) -> NoiseModel:
         noise = fit_noise_levels(spectrum, sampling, before)
         white = noise.levels.copy()
-        white[:, 1:] *= WHITE
+        white[:, 1:] *= NEGLIGIBLE
         return NoiseModel(white, sampling)
 
     with ExitStack() as everywhere:
@@ -67,71 +67,75 @@ def _white_only(recordings: Sequence[Recording], board: str) -> FitExplanation:
                 getattr(module, "fit_noise_levels", None) is fit_noise_levels
                 and module.__name__ != __name__
             ):
-                everywhere.enter_context(patch.object(module, "fit_noise_levels", levels))
+                everywhere.enter_context(patch.object(module, "fit_noise_levels", fit_white_levels))
         return _explain(recordings, board)
 
 
-def _no_projection(recordings: Sequence[Recording], board: str) -> FitExplanation:
+def _explain_without_projection(recordings: Sequence[Recording], board: str) -> FitExplanation:
     """Score causes without projecting out the base model."""
 
-    def bare(projection: NuisanceProjector, signals: WhitenedSignals) -> ScoreStatistics:
+    def compute_bare_score(
+        projection: NuisanceProjector, signals: WhitenedSignals
+    ) -> ScoreStatistics:
         white = signals.dense()
         gram = white @ white.T
         taken = np.zeros((len(white), projection.board_parameters))
         return ScoreStatistics(gram, white @ projection.residual, np.diag(gram).copy(), taken)
 
-    with patch.object(NuisanceProjector, "score_statistics", bare):
+    with patch.object(NuisanceProjector, "score_statistics", compute_bare_score):
         return _explain(recordings, board)
 
 
-def _top(solution: ConvergedFit) -> str:
+def _find_top_cause(solution: ConvergedFit) -> str:
     """Return the cause with the best score on the residual of a fit."""
     projection = NuisanceProjector.at_fit(solution)
-    taken = {fitted_term.term.cause for fitted_term in solution.fitted_terms}
-    terms = [term for term in testable_terms(projection) if term.cause not in taken]
+    fitted_causes = {fitted_term.term.cause for fitted_term in solution.fitted_terms}
+    terms = [term for term in testable_terms(projection) if term.cause not in fitted_causes]
     return scan_catalogue(projection, terms, count_tests(terms))[0].term.cause
 
 
-def _as_it_is(line: Line, _stated: StatedExplanation) -> Line:
+def _keep_line(line: Line, _stated: StatedExplanation) -> Line:
     return line
 
 
-def _top_score(line: Line, stated: StatedExplanation) -> Line:
+def _name_top_score(line: Line, stated: StatedExplanation) -> Line:
     """State the cause with the best score on the base model's residual, always."""
-    return _named(line, [], _top(stated.explained.solution_base))
+    return _add_cause(line, [], _find_top_cause(stated.explanation.solution_base))
 
 
-def _never_unknown(line: Line, stated: StatedExplanation) -> Line:
+def _name_unexplained(line: Line, stated: StatedExplanation) -> Line:
     """Name the best-scoring cause instead of an unexplained rest."""
     if not line["unexplained"]:
         return line
-    return _named(line, line["causes"], _top(stated.explained.solution_extended))
+    return _add_cause(line, line["causes"], _find_top_cause(stated.explanation.solution_extended))
 
 
-def _shuffled(line: Line, _stated: StatedExplanation) -> Line:
+def _exchange_names(line: Line, _stated: StatedExplanation) -> Line:
     """Replace each cause by its neighbour in the catalogue."""
     names = sorted(cause for cause, term in catalogue().items() if term.kind in ("effect", "raw"))
     other = dict(zip(names, [*names[1:], names[0]], strict=True))
 
-    def renamed(ones: Sequence[Line]) -> list[Line]:
+    def rename_sets(entries: Sequence[Line]) -> list[Line]:
         return [
-            {**entry, "set": [other.get(name, name) for name in entry["set"]]} for entry in ones
+            {**entry, "set": [other.get(name, name) for name in entry["set"]]} for entry in entries
         ]
 
-    return {**line, "causes": renamed(line["causes"]), "raw": renamed(line["raw"])}
+    return {**line, "causes": rename_sets(line["causes"]), "raw": rename_sets(line["raw"])}
 
 
-def _named(line: Line, causes: Sequence[Line], cause: str) -> Line:
+def _add_cause(line: Line, causes: Sequence[Line], cause: str) -> Line:
     named = {"set": [cause], "where": [], "values": {}, "free": 0, "sizes": []}
     return {**line, "causes": [*causes, named], "unexplained": [], "verdict": "explained"}
 
 
 REAL = "real"
 VARIANTS = {
-    REAL: Variant("the shipped solver", _explain, _as_it_is),
-    "top-score": Variant("always names the top score", _explain, _top_score),
-    "never-unknown": Variant("never reports a rest", _explain, _never_unknown),
-    "white-only": Variant("assumes white noise", _white_only, _as_it_is),
-    "no-projection": Variant("does not project out the base model", _no_projection, _as_it_is),
-    "shuffled": Variant("exchanges the names", _explain, _shuffled),
+    REAL: Variant("the shipped solver", _explain, _keep_line),
+    "top-score": Variant("always names the top score", _explain, _name_top_score),
+    "never-unknown": Variant("never reports a rest", _explain, _name_unexplained),
+    "white-only": Variant("assumes white noise", _explain_white_only, _keep_line),
+    "no-projection": Variant(
+        "does not project out the base model", _explain_without_projection, _keep_line
+    ),
+    "shuffled": Variant("exchanges the names", _explain, _exchange_names),
 }

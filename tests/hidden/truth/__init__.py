@@ -1,7 +1,7 @@
-"""The truth side of the tests that hide an effect: what is hidden, how large, in what rig.
+"""Sessions of the emulated rig with hidden effects, for the scores of the search for causes.
 
-It knows the emulator and nothing of the solver: an effect's size is set by how visible its
-own noise-free difference is. `make` is the program; `draws` what one seed decides, `sizing`
-how large, `outside` effects that are in no catalogue, `session` the recording, `answer` what
-is sealed.
+This package uses the emulator and does not use the solver. The visibility of the noise-free
+difference sets the size of an effect. `make` is the program. `draws` draws the session of a seed,
+`sizing` finds the sizes, `outside` contains effects outside the catalogue, `session` records, and
+`answer` makes the sealed answer.
 """

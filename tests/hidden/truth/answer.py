@@ -1,13 +1,13 @@
-"""The answer to a session: what is hidden, sealed before a finder sees the recording."""
+"""The answer to a session: the hidden effects and the true rig. The maker seals it."""
 
 import math
 from typing import Any
 
-from tests.hidden.truth.detectable import detectable_of, sizes_of
+from tests.hidden.truth.detectable import compute_detectable, count_sizes
 from tests.hidden.truth.draws import Item, Session
 from tests.hidden.truth.outside import NEARLY, SHAPES
-from tests.hidden.truth.session import BOARD, ORIGIN_NS, RecordedSession, settings_of
-from tests.hidden.truth.shapes import parameters
+from tests.hidden.truth.session import BOARD, ORIGIN_NS, RecordedSession, make_settings
+from tests.hidden.truth.shapes import list_parameters
 from tests.hidden.truth.sizing import COUNTED, IN_VARIANCE, Sizer
 
 from gyrorig_daemon.emulator.injection import Quantity
@@ -15,7 +15,7 @@ from gyrorig_daemon.emulator.injection import Quantity
 SCHEMA = "gyrorig/hidden-answer/2"
 
 
-def answer_of(session: Session, recorded: RecordedSession, sizer: Sizer) -> dict[str, Any]:
+def make_answer(session: Session, recorded: RecordedSession, sizer: Sizer) -> dict[str, Any]:
     """Return the whole truth about a session as plain values."""
     first_s, last_s = recorded.course.span_s
     span_ns = (ORIGIN_NS + round(first_s * 1e9), ORIGIN_NS + round(last_s * 1e9))
@@ -38,36 +38,36 @@ def answer_of(session: Session, recorded: RecordedSession, sizer: Sizer) -> dict
         },
         "decoy": session.decoy,
         "causes": [
-            _cause(item, by_cause.get(item.name), beside_others, session)
-            for item, beside_others in zip(
-                session.items, _times_beside_others(session, sizer), strict=True
+            _describe_cause(item, by_cause.get(item.name), separate_noncentrality, session)
+            for item, separate_noncentrality in zip(
+                session.items, _compute_separate_noncentralities(session, sizer), strict=True
             )
         ],
         "expected_groups": [group for shape in shapes for group in shape.groups],
         "near": next((shape.near for shape in shapes if shape.near), None),
         "expected_set": list(session.expected_set),
-        "unobservable": [i.name for i in session.items if session.kind == "unobservable"],
+        "unobservable": [item.name for item in session.items if session.kind == "unobservable"],
         "ladder": None
         if session.rung is None
         else {"times": session.rung, "soak": session.rig.soak_k != 0.0},
         "held": None
-        if session.held is None
-        else {"program": session.held.program, "seed": session.held.seed},
+        if session.second_rig is None
+        else {"program": session.second_rig.program, "seed": session.second_rig.seed},
         "span_s": [first_s, last_s],
         "power_up_raw_ns": ORIGIN_NS,
         "truth": truth,
     }
 
 
-def _cause(
-    item: Item, entry: dict[str, Any] | None, beside_others: float | None, session: Session
+def _describe_cause(
+    item: Item, entry: dict[str, Any] | None, separate_noncentrality: float | None, session: Session
 ) -> dict[str, Any]:
     if entry is None:
-        entry = _shape(item, session)
+        entry = _describe_shape(item, session)
     size = entry["size"]["value"]
-    seen = item.seen
-    lambda_ = None if seen is None else seen.noncentrality
-    counted, varied = item.name in COUNTED, item.name in IN_VARIANCE
+    visibility = item.visibility
+    noncentrality = None if visibility is None else visibility.noncentrality
+    is_counted, is_in_variance = item.name in COUNTED, item.name in IN_VARIANCE
     return {
         "cause": entry["cause"],
         "place": entry["where"],
@@ -75,42 +75,47 @@ def _cause(
         "sign": -1 if size < 0.0 else 1,
         "size": entry["size"],
         "parameters": entry["parameters"],
-        "statistic": "count" if counted else "variance" if varied else "mean",
-        "noncentrality": lambda_,
-        "beside_others": beside_others,
-        "absorbed": None if seen is None else seen.absorbed,
-        "sizes": sizes_of(item.name),
-        "detectable": detectable_of(item.name),
+        "statistic": "count" if is_counted else "variance" if is_in_variance else "mean",
+        "noncentrality": noncentrality,
+        "beside_others": separate_noncentrality,
+        "absorbed": None if visibility is None else visibility.absorbed,
+        "sizes": count_sizes(item.name),
+        "detectable": compute_detectable(item.name),
         "times_detectable": None
-        if lambda_ is None
-        else math.sqrt(max(lambda_, 0.0) / detectable_of(item.name)),
+        if noncentrality is None
+        else math.sqrt(max(noncentrality, 0.0) / compute_detectable(item.name)),
         "wanted_times": item.wanted_times,
     }
 
 
-def _shape(item: Item, session: Session) -> dict[str, Any]:
+def _describe_shape(item: Item, session: Session) -> dict[str, Any]:
     shape, size = SHAPES[item.name], item.size or 0.0
-    quantities = parameters(shape, size, settings_of(session.rig))
+    quantities = list_parameters(shape, size, make_settings(session.rig))
     prefix = "nearly" if item.name in NEARLY else "outside"
     return {
         "cause": f"{prefix}:{item.name}",
         "where": "all",
         "board": BOARD,
-        "size": _plain(Quantity(size, shape.unit)),
-        "parameters": {name: _plain(quantity) for name, quantity in quantities.items()},
+        "size": _convert_quantity(Quantity(size, shape.unit)),
+        "parameters": {name: _convert_quantity(quantity) for name, quantity in quantities.items()},
     }
 
 
-def _plain(quantity: Quantity) -> dict[str, Any]:
+def _convert_quantity(quantity: Quantity) -> dict[str, Any]:
     value = list(quantity.value) if isinstance(quantity.value, tuple) else quantity.value
     return {"value": value, "unit": quantity.unit}
 
 
-def _times_beside_others(session: Session, sizer: Sizer) -> list[float | None]:
-    """Return each effect's non-centrality with the others taken off as well."""
+def _compute_separate_noncentralities(session: Session, sizer: Sizer) -> list[float | None]:
+    """Return the non-centrality of each effect after projecting out the other effects."""
     items = session.items
     if len(items) < 2:
-        return [None if i.seen is None else i.seen.noncentrality for i in items]
-    return sizer.beside_others(
-        [None if i.name in (*COUNTED, *IN_VARIANCE) or i.size is None else i.order for i in items]
+        return [
+            None if item.visibility is None else item.visibility.noncentrality for item in items
+        ]
+    return sizer.compute_separate_noncentralities(
+        [
+            None if item.name in (*COUNTED, *IN_VARIANCE) or item.size is None else item.request
+            for item in items
+        ]
     )

@@ -1,4 +1,4 @@
-"""What a session has in it that no finder may fall for: a warm board, an idle channel."""
+"""Decoys that must not cause a false alarm: a warm board, and an idle channel."""
 
 import json
 from dataclasses import replace
@@ -15,8 +15,8 @@ IDLE_TOPIC = "/room/humidity"
 _PERIOD_NS = 500_000_000
 
 
-def hot_truth(settings: RigSettings) -> RigTruth:
-    """Return a rig whose boards warm up nearly evenly by far, and do not mind."""
+def make_hot_truth(settings: RigSettings) -> RigTruth:
+    """Return a rig whose boards warm up slowly by 15 to 30 K, without any effect on their rates."""
     truth = sample_rig_truth(settings)
     rng = np.random.default_rng([settings.seed, 0x484F54])
     boards = {
@@ -33,8 +33,8 @@ def hot_truth(settings: RigSettings) -> RigTruth:
     return replace(truth, boards=boards)
 
 
-def with_idle_channel(path: Path, seed: int) -> None:
-    """Write a recording anew with a channel that nothing depends on: a wandering number."""
+def add_idle_channel(path: Path, seed: int) -> None:
+    """Add a channel with a random walk, which no other data depend on, to a recording."""
     idle_path = path.with_name(path.name + ".idle")
     rng = np.random.default_rng([seed, 0x49444C45])
     with path.open("rb") as source, idle_path.open("wb") as file:

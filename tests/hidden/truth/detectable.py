@@ -1,15 +1,14 @@
-"""How much of a cause a finder needs to see: by the number of its sizes.
+"""Minimal detectable non-centrality of a cause, from the number of its sizes.
 
-A cause with k sizes (one for each axis of the sensor, a sine and a cosine of each wave) is
-found by a chi-square test of k degrees of freedom, which needs the more the more there are:
-the minimal detectable non-centrality is where that test, at one false alarm in a hundred over
-a family of 36 tests, has the power 80 % (Baarda 1968, A
-testing procedure for use in geodetic networks: minimal detectable bias). What is a shape
-and no size (an instant, a frequency, a time constant, a damping) is not counted: 1x is that of
-a test that knows it.
+A chi-square test with k degrees of freedom finds a cause with k sizes: one for each axis of the
+sensor, a sine and a cosine of each wave. At the minimal detectable non-centrality, this test has
+the power 80 %. Its level is one false alarm in a hundred over a family of 36 tests. The level
+grows with k. Source: Baarda 1968, A testing procedure for use in geodetic networks (minimal
+detectable bias). Parameters of the shape (an instant, a frequency, a time constant, a damping) do
+not count as sizes: 1x is the size for a test with the known shape.
 
-What to use when: `detectable_of` for a cause, or a shape outside the catalogue, which counts as
-one size however many it has; `SIZES` for what is counted.
+What to use when: `compute_detectable` for a cause, or for a shape outside the catalogue, which
+counts as one size; `SIZES` for the causes with more than one size.
 """
 
 from functools import lru_cache
@@ -20,8 +19,9 @@ from scipy.stats import chi2, ncx2
 ALPHA, TESTS, POWER = 0.01, 36, 0.8
 _AXES, _WAVE = 3, 2  # of the sensor; sine and cosine
 
-# Those with more than one. Gravity turns in one plane as the stage tilts: of the nine numbers of
-# its matrix six can ever show. Once and twice a turn are two waves. Hum has one phase on all axes.
+# Causes with more than one size. Gravity turns in one plane as the stage tilts, so only six of the
+# nine numbers of its matrix are observable. Eccentricity has two waves, with one and two periods
+# per turn. Hum has one phase on all axes.
 SIZES = {
     **dict.fromkeys(
         ("scale_quadratic", "scale_cubic", "scale_asymmetry", "vibration_rectification",
@@ -37,21 +37,21 @@ SIZES = {
 }  # fmt: skip
 
 
-def sizes_of(name: str) -> int:
-    """Return how many sizes a cause has."""
+def count_sizes(name: str) -> int:
+    """Return the number of sizes of a cause."""
     return SIZES.get(name, 1)
 
 
-def detectable_of(name: str) -> float:
+def compute_detectable(name: str) -> float:
     """Return the minimal detectable non-centrality of a cause."""
-    return _detectable(sizes_of(name))
+    return _solve_detectable(count_sizes(name))
 
 
 @lru_cache
-def _detectable(sizes: int) -> float:
+def _solve_detectable(sizes: int) -> float:
     bar = float(chi2.isf(ALPHA / TESTS, sizes))
 
-    def short(noncentrality: float) -> float:
+    def compute_power_error(noncentrality: float) -> float:
         return float(ncx2.sf(bar, sizes, noncentrality)) - POWER
 
-    return float(brentq(short, 1.0, 1000.0))
+    return float(brentq(compute_power_error, 1.0, 1000.0))

@@ -1,7 +1,7 @@
-"""What one number decides: kind, causes, places, signs, sizes, rig, program, soak, decoy.
+"""Draw a session from one seed: kind, causes, places, signs, sizes, rig, program, soak, decoy.
 
-What to use when: `drawn` for a session of a tier. Sizes are found with a `Sizer` on the way,
-because a cause that this rig cannot show under this program is drawn anew.
+What to use when: `draw_session` for a session of a tier. A `Sizer` finds the sizes. If a cause is
+not visible in this rig under this program, another cause is drawn.
 """
 
 from collections.abc import Callable, Sequence
@@ -9,21 +9,22 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
-from tests.hidden.truth.detectable import detectable_of
+from tests.hidden.truth.detectable import compute_detectable
 from tests.hidden.truth.outside import NEARLY, OUTSIDE, SHAPES, Shape
-from tests.hidden.truth.session import Course, More, RigDraw, course, settings_of
-from tests.hidden.truth.shapes import hanger
+from tests.hidden.truth.session import Course, ExtraEffects, RigDraw, make_settings, simulate_course
+from tests.hidden.truth.shapes import make_shape_adder
 from tests.hidden.truth.sizing import COUNTED, Sizer, VisibleSize
 from tests.support.noncentrality import Visibility
 
 from gyrorig_daemon.emulator.emulator_settings import InjectionRequest
 from gyrorig_daemon.emulator.injection import CAUSES
 
-TIERS = ("mixed", "nulls", "ladder", "outside", "many", "nearly", "held", "rig")  # order seeds
+# The index of a tier is part of the seed.
+TIERS = ("mixed", "nulls", "ladder", "outside", "many", "nearly", "held", "rig")
 KINDS = ("null", "one", "two", "outside", "nearly", "unobservable")
 SHARES = (0.30, 0.35, 0.15, 0.10, 0.05, 0.05)
 
-# Program and share of sessions: the long ones less often, as they cost ten times as much.
+# Program and share of sessions. Long programs are less frequent: they take ten times as long.
 PROGRAMS = {
     "survey-40": 0.46, "quick": 0.15, "planned-75": 0.11, "paper": 0.08, "survey-130": 0.08,
     "full": 0.07, "planned-300": 0.05,
@@ -35,20 +36,20 @@ NULL_PROGRAMS = {
 MANY_PROGRAMS = {"survey-130": 0.6, "full": 0.4}
 LADDER_PROGRAMS = ("survey-40", "survey-130")
 RIG_PROGRAM = "survey-130"
-# What a rig can have at all times: of its clocks, of the sensor, of the unit.
+# Persistent causes of a rig: of its clocks, of the sensor, of the unit.
 RIG_CAUSES = (
     "clock_skew", "scale_quadratic", "scale_asymmetry", "g_sensitivity", "motor_coupling",
     "backlash", "eccentricity", "worm_error", "axis_nonorthogonality", "acceleration_error",
     "ringing", "tilt_sag", "base_compliance",
 )  # fmt: skip
-# Lines that a unit may be set to, and how long its controller thinks.
+# Baud rates of a unit, and the processing time of its controller in ms.
 LINES = ((9600, 1.0), (9600, 20.0), (38400, 5.0), (115200, 1.0), (115200, 5.0))
 
-# What a calibration absorbs whole, or a session is too short for: never to be seen.
+# Causes that are never visible: the calibration absorbs them, or a session is too short.
 UNSEEN = ("clock_offset", "tilt_zero", "earth_rotation")
-# Also not under a program that never pans while tilted.
+# Causes that are not visible under a program that never pans while tilted.
 FLAT_PROGRAM, UNSEEN_FLAT = "paper", ("axis_nonorthogonality",)
-# The order in which names are drawn: the sessions of a seed depend on it. Other causes follow.
+# The session of a seed depends on this order of the names. Other causes follow.
 ORDER = (
     "clock_offset", "clock_skew", "clock_step", "lost_samples", "repeated_samples",
     "sample_jitter", "corrupt_samples", "axis_swap", "sign_flip", "wrong_full_scale",
@@ -60,34 +61,34 @@ ORDER = (
     "ringing", "tilt_sag", "base_compliance", "board_slip", "earth_rotation",
 )  # fmt: skip
 _NAMES = (*ORDER, *sorted(CAUSES.keys() - set(ORDER)))
-LATER = ("clock_sawtooth",)  # not drawn: the sessions of the scored seeds are older
-SIZED = tuple(name for name in _NAMES if name not in (*COUNTED, *UNSEEN, *LATER))
-PAIR = ("bias_ramp", "thermal_bias", "warm_up")  # alike where the room keeps its temperature
+NOT_DRAWN = ("clock_sawtooth",)  # the sessions of the scored seeds are older than this cause
+SIZED = tuple(name for name in _NAMES if name not in (*COUNTED, *UNSEEN, *NOT_DRAWN))
+PAIR = ("bias_ramp", "thermal_bias", "warm_up")  # similar at a constant room temperature
 EVENTS = ("bias_step", "board_slip", "clock_step", "lost_steps")
 TWO_TIMES = 3.0
 RUNG_WIDTH = 0.04  # of a ladder's non-centrality
-_TRIES = 40
+_MAX_TRIES = 40
 
 
 @dataclass(frozen=True, slots=True)
 class Item:
-    """One thing to hide."""
+    """One cause or shape to hide."""
 
     name: str  # of a cause, or of a shape outside the catalogue
     place: str
-    size: float | None  # None: the emulator's own draw
+    size: float | None  # None: the emulator draws it
     wanted_times: float | None = None
-    seen: Visibility | None = None
+    visibility: Visibility | None = None
 
     @property
-    def order(self) -> InjectionRequest:
-        """The same for the emulator."""
+    def request(self) -> InjectionRequest:
+        """The request to the emulator."""
         return InjectionRequest(self.name, self.place, self.size)
 
 
 @dataclass(frozen=True, slots=True)
 class Session:
-    """All that is decided before a session."""
+    """Everything that is drawn before a session."""
 
     tier: str
     kind: str
@@ -96,20 +97,20 @@ class Session:
     decoy: str | None = None
     expected_set: tuple[str, ...] = ()
     rung: float | None = None
-    held: RigDraw | None = None
+    second_rig: RigDraw | None = None
 
     @property
-    def more(self) -> More | None:
-        """What hangs shapes outside the catalogue, None without any."""
+    def extra_effects(self) -> ExtraEffects | None:
+        """The function that adds a shape outside the catalogue, None without a shape."""
         item = next((item for item in self.items if item.name in SHAPES), None)
         if item is None or item.size is None:
             return None
-        return hanger(SHAPES[item.name], item.size, settings_of(self.rig))
+        return make_shape_adder(SHAPES[item.name], item.size, make_settings(self.rig))
 
 
 @dataclass(slots=True)
-class _Drawing:
-    """A session on its way."""
+class _SessionDraw:
+    """The state of the draw of a session."""
 
     rng: np.random.Generator
     tier: str
@@ -117,140 +118,148 @@ class _Drawing:
 
     @property
     def sizer(self) -> Sizer:
-        """The visibility of what may be hidden in this rig."""
-        return sizer_of(self.rig)
+        """The sizer of this rig."""
+        return make_sizer(self.rig)
 
-    def place(self, name: str) -> str:
-        """Return a place: an axis of the unit, else wherever it is by itself."""
+    def draw_place(self, name: str) -> str:
+        """Return a random axis of the unit; empty for other causes."""
         cause = CAUSES[name]
         if cause.acts_on_all or not cause.components:
             return ""
         return str(self.rng.choice(cause.components))
 
-    def sign(self, name: str) -> float:
-        """Return a direction."""
+    def draw_sign(self, name: str) -> float:
+        """Return a random sign."""
         return float(self.rng.choice((-1.0, 1.0))) if CAUSES[name].is_signed else 1.0
 
-    def at(self, name: str, times: float) -> Item | None:
-        """Return a cause of so many times its minimal size, None where that cannot be."""
-        place, sign = self.place(name), self.sign(name)
+    def draw_cause(self, name: str, times: float) -> Item | None:
+        """Return a cause of `times` minimal detectable sizes, None if this is impossible."""
+        place, sign = self.draw_place(name), self.draw_sign(name)
         if name in COUNTED:
             return Item(name, place, None)
-        sized = self.sizer.size_of_cause(name, place, times, sign)
-        return None if sized is None else Item(name, place, sized.size, times, sized.seen)
+        sized = self.sizer.find_cause_size(name, place, times, sign)
+        return None if sized is None else Item(name, place, sized.size, times, sized.visibility)
 
-    def near_typical(self, name: str, place: str) -> Item:
-        """Return a cause near its typical size, as the parts scatter."""
+    def draw_near_typical(self, name: str, place: str) -> Item:
+        """Return a cause near its typical size, with the spread of real parts."""
         cause = CAUSES[name]
         size = float(np.clip(cause.typical * np.exp(0.4 * self.rng.standard_normal()),
                              cause.sampled_min, cause.sampled_max))  # fmt: skip
-        size = self.sign(name) * (float(max(round(size), 1)) if cause.is_integer else size)
-        return Item(name, place, size, None, self.sizer.of_cause(name, place)(size))
+        size = self.draw_sign(name) * (float(max(round(size), 1)) if cause.is_integer else size)
+        return Item(name, place, size, None, self.sizer.make_visibility_function(name, place)(size))
 
 
-def drawn(
+def draw_session(
     seed: int, tier: str, rungs: Sequence[float] = (1.0, 2.0, 3.0), first: int = 0
 ) -> Session | None:
-    """Return what a session is to be, a pure function of its arguments.
+    """Return the session of a seed, a pure function of its arguments.
 
     Args:
         seed: the session's number.
-        tier: one of `TIERS`; of `held`, one cause each, all that can have a second session.
+        tier: one of `TIERS`; a session of `held` has one cause and, if possible, a second session.
         rungs: of a ladder, in minimal detectable sizes.
-        first: the first seed of a ladder, whose causes and rungs go round.
+        first: first seed of a ladder; the causes and rungs repeat from there.
 
     Returns:
-        None where a ladder asks for what its programs cannot show.
+        None if a cause of a ladder is not visible under its programs.
     """
     rng = np.random.default_rng([seed, TIERS.index(tier), 0x5452])
     if tier == "ladder":
-        return _ladder(rng, seed, rungs, first)
+        return _draw_ladder(rng, seed, rungs, first)
     kind = {"nulls": "null", "mixed": "", "held": "one"}.get(tier, tier)
     kind = kind or str(rng.choice(KINDS, p=SHARES))
     programs = {"nulls": NULL_PROGRAMS, "many": MANY_PROGRAMS}.get(tier, PROGRAMS)
     program = str(rng.choice(list(programs), p=list(programs.values())))
-    drawing = _Drawing(rng, tier, _rig(rng, seed, program, soak=bool(rng.random() < 0.35)))
-    return _OF_KIND[kind](drawing)
+    drawing = _SessionDraw(rng, tier, _draw_rig(rng, seed, program, soak=bool(rng.random() < 0.35)))
+    return _DRAW_BY_KIND[kind](drawing)
 
 
-def course_of(rig: RigDraw) -> Course:
-    """Return what the axes do in a session."""
-    return course(rig.program, rig.ptu_baud, rig.command_time_ms)
+def make_course(rig: RigDraw) -> Course:
+    """Return the motion of the axes in a session."""
+    return simulate_course(rig.program, rig.ptu_baud, rig.command_time_ms)
 
 
 @lru_cache(maxsize=2)
-def sizer_of(rig: RigDraw) -> Sizer:
-    """Return the visibility of what may be hidden in a rig."""
-    return Sizer(settings_of(rig), course_of(rig))
+def make_sizer(rig: RigDraw) -> Sizer:
+    """Return the sizer of a rig."""
+    return Sizer(make_settings(rig), make_course(rig))
 
 
-def _rig(rng: np.random.Generator, seed: int, program: str, soak: bool) -> RigDraw:
+def _draw_rig(rng: np.random.Generator, seed: int, program: str, soak: bool) -> RigDraw:
     soak_k = float(rng.choice((-1.0, 1.0)) * rng.uniform(10.0, 25.0))
     baud, command_time_ms = LINES[int(rng.integers(len(LINES)))]
     return RigDraw(seed, program, soak_k if soak else 0.0, baud, command_time_ms)
 
 
-def _null(drawing: _Drawing) -> Session:
+def _draw_null(drawing: _SessionDraw) -> Session:
     roll = float(drawing.rng.random())
     decoy = "temperature" if roll < 0.08 else "idle_channel" if roll < 0.12 else None
     return Session(drawing.tier, "null", drawing.rig, decoy=decoy)
 
 
-def _single_cause(drawing: _Drawing) -> Session:
+def _draw_single_cause(drawing: _SessionDraw) -> Session:
     rng = drawing.rng
     if rng.random() < 0.05:
-        return _pair(drawing)
-    for _ in range(_TRIES):
+        return _draw_pair(drawing)
+    for _ in range(_MAX_TRIES):
         times = float(np.exp(rng.uniform(np.log(0.7), np.log(10.0))))
-        item = drawing.at(str(rng.choice([*SIZED, *COUNTED])), times)
+        item = drawing.draw_cause(str(rng.choice([*SIZED, *COUNTED])), times)
         if item is not None:
-            return Session(drawing.tier, "one", drawing.rig, (item,), held=_held(drawing, item))
-    return _null(drawing)
+            return Session(
+                drawing.tier,
+                "one",
+                drawing.rig,
+                (item,),
+                second_rig=_draw_second_rig(drawing, item),
+            )
+    return _draw_null(drawing)
 
 
-def _pair(drawing: _Drawing) -> Session:
-    """Causes that this program cannot part: the right answer is the set of them."""
+def _draw_pair(drawing: _SessionDraw) -> Session:
+    """Return a session with one of several causes that this program cannot separate."""
     rng, rig = drawing.rng, drawing.rig
     drawing.rig = RigDraw(rig.seed, "survey-40", 0.0, rig.ptu_baud, rig.command_time_ms)
     for name in rng.permutation(PAIR).tolist():
-        item = drawing.at(name, float(rng.uniform(1.3, 2.0)))
+        item = drawing.draw_cause(name, float(rng.uniform(1.3, 2.0)))
         if item is not None:
             return Session(
                 drawing.tier, "one", drawing.rig, (item,), decoy="pair", expected_set=PAIR
             )
-    return _null(drawing)
+    return _draw_null(drawing)
 
 
-def _two(drawing: _Drawing) -> Session:
+def _draw_two(drawing: _SessionDraw) -> Session:
     items: list[Item] = []
     for name in drawing.rng.permutation(SIZED).tolist():
-        item = drawing.at(name, TWO_TIMES)
+        item = drawing.draw_cause(name, TWO_TIMES)
         if item is not None:
             items.append(item)
         if len(items) == 2:
             break
-    return Session(drawing.tier, "two", drawing.rig, tuple(items), held=_held(drawing, *items))
+    return Session(
+        drawing.tier, "two", drawing.rig, tuple(items), second_rig=_draw_second_rig(drawing, *items)
+    )
 
 
-def _many(drawing: _Drawing) -> Session:
-    """Four to eight causes of usual sizes: near the typical one, as the parts scatter."""
+def _draw_many(drawing: _SessionDraw) -> Session:
+    """Return a session with four to eight causes near their typical sizes."""
     rng = drawing.rng
     names = rng.permutation([n for n in SIZED if n not in ("bias_random_walk", "sample_jitter")])
     chosen = names[: int(rng.integers(4, 9))].tolist()
-    items = tuple(drawing.near_typical(name, drawing.place(name)) for name in chosen)
+    items = tuple(drawing.draw_near_typical(name, drawing.draw_place(name)) for name in chosen)
     return Session(drawing.tier, "many", drawing.rig, items)
 
 
-def _whole_rig(drawing: _Drawing) -> Session:
-    """All persistent causes at once, each near its typical size."""
+def _draw_whole_rig(drawing: _SessionDraw) -> Session:
+    """Return a session with all persistent causes, each near its typical size."""
     rig = replace(drawing.rig, program=RIG_PROGRAM, soak_k=0.0)
     drawing.rig = rig
-    items = tuple(drawing.near_typical(name, drawing.place(name)) for name in RIG_CAUSES)
+    items = tuple(drawing.draw_near_typical(name, drawing.draw_place(name)) for name in RIG_CAUSES)
     return Session(drawing.tier, "rig", rig, items)
 
 
-def _shape(shapes: dict[str, Shape]) -> "Callable[[_Drawing], Session]":
-    def of(drawing: _Drawing) -> Session:
+def _make_shape_draw(shapes: dict[str, Shape]) -> "Callable[[_SessionDraw], Session]":
+    def draw_shape(drawing: _SessionDraw) -> Session:
         rng, rig = drawing.rng, drawing.rig
         kind = "nearly" if shapes is NEARLY else "outside"
         for name in rng.permutation(list(shapes)).tolist():
@@ -260,67 +269,69 @@ def _shape(shapes: dict[str, Shape]) -> "Callable[[_Drawing], Session]":
             ):
                 continue
             times = float(np.exp(rng.uniform(np.log(3.0), np.log(10.0))))
-            sized = shape_sized(drawing.sizer, shape, rig, times)
+            sized = find_shape_size(drawing.sizer, shape, rig, times)
             if sized is not None:
-                item = Item(name, "", sized.size, times, sized.seen)
+                item = Item(name, "", sized.size, times, sized.visibility)
                 return Session(drawing.tier, kind, rig, (item,))
-        return _null(drawing)
+        return _draw_null(drawing)
 
-    return of
-
-
-def shape_sized(sizer: Sizer, shape: Shape, rig: RigDraw, times: float) -> VisibleSize | None:
-    """Return the size at which a shape is so many times its minimal detectable size."""
-    settings = settings_of(rig)
-
-    def seen(size: float) -> Visibility:
-        return sizer.visibility(more=hanger(shape, size, settings))
-
-    return sizer.sized(seen, (times, detectable_of(shape.name)), shape.start, shape.most)
+    return draw_shape
 
 
-def _unobservable(drawing: _Drawing) -> Session:
-    """A cause of a usual size that no session of this program can show."""
+def find_shape_size(sizer: Sizer, shape: Shape, rig: RigDraw, times: float) -> VisibleSize | None:
+    """Return the size of a shape that is `times` its minimal detectable size."""
+    settings = make_settings(rig)
+
+    def visibility_at(size: float) -> Visibility:
+        return sizer.measure_visibility(extra_effects=make_shape_adder(shape, size, settings))
+
+    return sizer.find_size(
+        visibility_at, (times, compute_detectable(shape.name)), shape.start, shape.most
+    )
+
+
+def _draw_unobservable(drawing: _SessionDraw) -> Session:
+    """Return a session with a cause that is not visible under this program."""
     rng = drawing.rng
     names = [*UNSEEN, "step_resolution"]
     if drawing.rig.program == FLAT_PROGRAM:
         names += UNSEEN_FLAT
     name = str(rng.choice(names))
     cause = CAUSES[name]
-    place = "pan" if name == "step_resolution" else drawing.place(name)
+    place = "pan" if name == "step_resolution" else drawing.draw_place(name)
     size = float(np.exp(rng.uniform(np.log(cause.sampled_min), np.log(cause.sampled_max))))
-    size *= drawing.sign(name)
-    seen = drawing.sizer.of_cause(name, place)(size)
+    size *= drawing.draw_sign(name)
+    visibility = drawing.sizer.make_visibility_function(name, place)(size)
     return Session(
-        drawing.tier, "unobservable", drawing.rig, (Item(name, place, size, None, seen),)
+        drawing.tier, "unobservable", drawing.rig, (Item(name, place, size, None, visibility),)
     )
 
 
-def ladder_turn(number: int, rungs: int) -> tuple[str, int, bool]:
-    """Return cause, rung and whether with soak: all causes, then the next rung, then soak."""
+def choose_ladder_case(number: int, rungs: int) -> tuple[str, int, bool]:
+    """Return cause, rung and soak of a ladder case; the cause changes fastest, the soak slowest."""
     turn, cause = divmod(number, len(SIZED) + len(COUNTED))
     turn, rung = divmod(turn, rungs)
     return (*SIZED, *COUNTED)[cause], rung, bool(turn % 2)
 
 
-def _ladder(
+def _draw_ladder(
     rng: np.random.Generator, seed: int, rungs: Sequence[float], first: int
 ) -> Session | None:
-    name, rung, soak = ladder_turn(seed - first, len(rungs))
+    name, rung, soak = choose_ladder_case(seed - first, len(rungs))
     if name in COUNTED and rung:
-        return None  # their sizes are the emulator's own: once is enough
+        return None  # the emulator draws their sizes, so they need one rung only
     for program in LADDER_PROGRAMS:
-        drawing = _Drawing(rng, "ladder", _rig(rng, seed, program, soak))
-        item = drawing.at(name, float(rungs[rung]))
+        drawing = _SessionDraw(rng, "ladder", _draw_rig(rng, seed, program, soak))
+        item = drawing.draw_cause(name, float(rungs[rung]))
         if item is None and CAUSES[name].components and not CAUSES[name].acts_on_all:
-            item = drawing.at(name, float(rungs[rung]))  # another place, maybe
+            item = drawing.draw_cause(name, float(rungs[rung]))  # the place may be another one
         if item is not None:
             return Session("ladder", "one", drawing.rig, (item,), rung=float(rungs[rung]))
     return None
 
 
-def _held(drawing: _Drawing, *items: Item) -> RigDraw | None:
-    """Return a second session of the same rig, for one in ten (or all) where all causes stay."""
+def _draw_second_rig(drawing: _SessionDraw, *items: Item) -> RigDraw | None:
+    """Return a second session of the same rig, or None; its causes must be persistent."""
     share = 1.0 if drawing.tier == "held" else 0.1
     if drawing.rng.random() >= share or any(i.name in (*EVENTS, *COUNTED) for i in items):
         return None
@@ -332,48 +343,48 @@ def _held(drawing: _Drawing, *items: Item) -> RigDraw | None:
     return RigDraw(rig.seed + 500_000_000, program, 0.0, rig.ptu_baud, rig.command_time_ms)
 
 
-def seen_by(sizer: Sizer, session: Session) -> Session:
-    """Return a session whose effects are as visible as under the motion that it really had."""
+def update_visibility(sizer: Sizer, session: Session) -> Session:
+    """Return a session with the visibility of its effects under the recorded motion."""
     items = []
     for item in session.items:
         if item.size is None:
             items.append(item)
             continue
         if item.name in SHAPES:
-            seen = sizer.visibility(more=session.more)
+            visibility = sizer.measure_visibility(extra_effects=session.extra_effects)
         else:
-            seen = sizer.of_cause(item.name, item.place)(item.size)
-        items.append(replace(item, seen=seen))
+            visibility = sizer.make_visibility_function(item.name, item.place)(item.size)
+        items.append(replace(item, visibility=visibility))
     return replace(session, items=tuple(items))
 
 
-def on_rung(sizer: Sizer, session: Session) -> Session | None:
-    """Return a ladder's session with a size that meets its rung, None where it does already."""
-    if session.rung is None or session.items[0].seen is None:
+def correct_size(sizer: Sizer, session: Session) -> Session | None:
+    """Return a session of a ladder with a size that meets its rung, None if the size meets it."""
+    if session.rung is None or session.items[0].visibility is None:
         return None
     (item,) = session.items
-    if item.seen is None or item.size is None or CAUSES[item.name].is_integer:
+    if item.visibility is None or item.size is None or CAUSES[item.name].is_integer:
         return None
-    wanted = session.rung**2 * detectable_of(item.name)
-    if abs(item.seen.noncentrality / wanted - 1.0) < RUNG_WIDTH:
+    wanted = session.rung**2 * compute_detectable(item.name)
+    if abs(item.visibility.noncentrality / wanted - 1.0) < RUNG_WIDTH:
         return None
     sign = -1.0 if item.size < 0.0 else 1.0
-    sized = sizer.size_of_cause(item.name, item.place, session.rung, sign)
+    sized = sizer.find_cause_size(item.name, item.place, session.rung, sign)
     return None if sized is None else replace(session, items=(replace(item, size=sized.size),))
 
 
-def orders_of(items: Sequence[Item]) -> tuple[InjectionRequest, ...]:
-    """Return what the emulator has to hide, without shapes outside the catalogue."""
-    return tuple(item.order for item in items if item.name not in SHAPES)
+def make_requests(items: Sequence[Item]) -> tuple[InjectionRequest, ...]:
+    """Return the requests to the emulator, without shapes outside the catalogue."""
+    return tuple(item.request for item in items if item.name not in SHAPES)
 
 
-_OF_KIND: dict[str, Callable[[_Drawing], Session]] = {
-    "null": _null,
-    "one": _single_cause,
-    "two": _two,
-    "many": _many,
-    "rig": _whole_rig,
-    "outside": _shape(OUTSIDE),
-    "nearly": _shape(NEARLY),
-    "unobservable": _unobservable,
+_DRAW_BY_KIND: dict[str, Callable[[_SessionDraw], Session]] = {
+    "null": _draw_null,
+    "one": _draw_single_cause,
+    "two": _draw_two,
+    "many": _draw_many,
+    "rig": _draw_whole_rig,
+    "outside": _make_shape_draw(OUTSIDE),
+    "nearly": _make_shape_draw(NEARLY),
+    "unobservable": _draw_unobservable,
 }

@@ -1,13 +1,13 @@
-"""Make a corpus of sessions with something hidden in them, one folder a seed.
+"""Make a corpus of sessions with hidden effects, one folder per seed.
 
-    CORPUS/<seed>/recording.mcap   all that a finder gets
-                 /answer.json      what is hidden; for the scorer alone
-                 /sealed.txt       SHA-256 of the answer, written and printed first
-                 /held.mcap        for some: the same rig again, under another program,
-                 /held.npz         and its rates without noise
-                 /rates.npz        of a ladder: what it would be without noise, for the bound
+    CORPUS/<seed>/recording.mcap   the only file that the solver gets
+                 /answer.json      the hidden effects, for the scorer only
+                 /sealed.txt       SHA-256 of the answer; the program writes it before the recording
+                 /held.mcap        in some folders: the same rig under another program
+                 /held.npz         rates of held.mcap without noise
+                 /rates.npz        of a ladder: rates of the recording without noise, for the bound
 
-A seed whose recording is there is left alone: a run can go on where it was stopped.
+The program does not change a seed with a recording. A stopped run can therefore continue.
 
 Run: python tests/hidden/truth/make.py --out CORPUS --first SEED --count N [--tier mixed]
 """
@@ -24,10 +24,17 @@ from pathlib import Path
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 sys.path.insert(0, str(Path(__file__).resolve().parents[3]))
 
-from tests.hidden.truth.answer import answer_of
-from tests.hidden.truth.decoys import hot_truth, with_idle_channel
-from tests.hidden.truth.draws import TIERS, Session, drawn, on_rung, orders_of, seen_by
-from tests.hidden.truth.session import BOARD, ORIGIN_NS, RecordedSession, record, settings_of
+from tests.hidden.truth.answer import make_answer
+from tests.hidden.truth.decoys import add_idle_channel, make_hot_truth
+from tests.hidden.truth.draws import (
+    TIERS,
+    Session,
+    correct_size,
+    draw_session,
+    make_requests,
+    update_visibility,
+)
+from tests.hidden.truth.session import BOARD, ORIGIN_NS, RecordedSession, make_settings, record
 from tests.hidden.truth.sizing import COUNTED, IN_VARIANCE, Sizer
 from tests.support.sealed_answer import seal
 
@@ -35,86 +42,87 @@ from gyrorig_daemon.emulator.emulated_rig import EmulatedRig
 from gyrorig_daemon.emulator.noise_free_rates import RigTwin, write_rates
 from gyrorig_daemon.emulator.rig_truth import RigTruth, sample_rig_truth
 
-_TRIES = 4
-SKIPPED = "skipped.txt"  # seeds whose session cannot be, in a ladder
+_MAX_TRIES = 4
+SKIPPED = "skipped.txt"  # seeds of a ladder without a possible session
 
 
-def make(folder: Path, session: Session) -> str:
-    """Hold a session, seal its answer, and put the recording there last; return the seal."""
+def make_case(folder: Path, session: Session) -> str:
+    """Record a session, seal its answer, and move the recording into place; return the seal."""
     folder.mkdir(parents=True, exist_ok=True)
     raw = folder / "recording.part"
-    session, recorded, sizer = _fitting(session, raw)
-    document = answer_of(session, recorded, sizer)
-    if session.held is not None:
-        _hold(folder, session, recorded.rig.truth)
+    session, recorded, sizer = _record_session(session, raw)
+    document = make_answer(session, recorded, sizer)
+    if session.second_rig is not None:
+        _record_second(folder, session, recorded.rig.truth)
     if session.rung is not None and session.items[0].name not in (*COUNTED, *IN_VARIANCE):
-        rates = {BOARD: sizer.rates(session.items[0].order)}
+        rates = {BOARD: sizer.simulate_rates(session.items[0].request)}
         write_rates(folder / "rates.npz", rates, recorded.course.moves_s)
     sealed = seal(folder, document)
     if session.decoy == "idle_channel":
-        with_idle_channel(raw, session.rig.seed)
+        add_idle_channel(raw, session.rig.seed)
     raw.replace(folder / "recording.mcap")
     return sealed
 
 
-def _fitting(session: Session, raw: Path) -> tuple[Session, RecordedSession, Sizer]:
-    """Hold a session, with a ladder's rung met by the session as it was.
+def _record_session(session: Session, raw: Path) -> tuple[Session, RecordedSession, Sizer]:
+    """Record a session; correct the size of a ladder until the recorded session meets its rung.
 
-    How visible an effect on the edges of the motion is depends on how the samples fall on
-    them, and so on when exactly each move began.
+    The visibility of an effect at the edges of the motion depends on the exact begin of each move.
     """
-    for _ in range(_TRIES):
-        rig = replace(session.rig, hide=orders_of(session.items))
-        truth = hot_truth(settings_of(rig)) if session.decoy == "temperature" else None
-        recorded = record(rig, raw, truth, session.more)
-        sizer = Sizer(settings_of(session.rig), recorded.course)
-        session = seen_by(sizer, session)
-        better = on_rung(sizer, session)
-        if better is None:
+    for _ in range(_MAX_TRIES):
+        rig = replace(session.rig, hide=make_requests(session.items))
+        truth = make_hot_truth(make_settings(rig)) if session.decoy == "temperature" else None
+        recorded = record(rig, raw, truth, session.extra_effects)
+        sizer = Sizer(make_settings(session.rig), recorded.course)
+        session = update_visibility(sizer, session)
+        corrected = correct_size(sizer, session)
+        if corrected is None:
             break
-        session = better
+        session = corrected
     return session, recorded, sizer
 
 
-def _hold(folder: Path, session: Session, truth: RigTruth) -> None:
-    """Record the same rig, with the same in it, under another program and other noise."""
-    if session.held is None:
+def _record_second(folder: Path, session: Session, truth: RigTruth) -> None:
+    """Record the same rig and effects under another program and with other noise."""
+    if session.second_rig is None:
         raise ValueError("this session has no second one")
-    held = replace(session.held, hide=orders_of(session.items))
-    recorded = record(held, folder / "held.mcap", truth, session.more)
-    plain = sample_rig_truth(settings_of(session.rig))
+    second_rig = replace(session.second_rig, hide=make_requests(session.items))
+    recorded = record(second_rig, folder / "held.mcap", truth, session.extra_effects)
+    plain_truth = sample_rig_truth(make_settings(session.rig))
     course = recorded.course
     settings = recorded.rig.settings
-    twins = RigTwin(settings, ORIGIN_NS, course.orders, course.until_ns, plain)
-    like = EmulatedRig(settings, ORIGIN_NS, truth, session.more)
-    write_rates(folder / "held.npz", twins.rates(like), course.moves_s)
+    twin = RigTwin(settings, ORIGIN_NS, course.commands, course.end_ns, plain_truth)
+    hidden_rig = EmulatedRig(settings, ORIGIN_NS, truth, session.extra_effects)
+    write_rates(folder / "held.npz", twin.rates(hidden_rig), course.moves_s)
 
 
 def run(namespace: argparse.Namespace) -> int:
-    """Make what is not there yet; return how many."""
+    """Make the missing sessions; return their number."""
     out: Path = namespace.out
     out.mkdir(parents=True, exist_ok=True)
-    of, many = (int(word) for word in namespace.shard.split("/"))
-    skipped = out / SKIPPED
-    left_out = set(skipped.read_text().split()) if skipped.exists() else set()
-    made, begun_s = 0, time.monotonic()
+    shard, shard_count = (int(word) for word in namespace.shard.split("/"))
+    skipped_path = out / SKIPPED
+    skipped_seeds = set(skipped_path.read_text().split()) if skipped_path.exists() else set()
+    made, start_s = 0, time.monotonic()
     for seed in range(namespace.first, namespace.first + namespace.count):
         folder = out / str(seed)
-        if (seed - namespace.first) % many != of - 1 or str(seed) in left_out:
+        if (seed - namespace.first) % shard_count != shard - 1 or str(seed) in skipped_seeds:
             continue
         if (folder / "recording.mcap").exists():
             continue
-        session = drawn(seed, namespace.tier, namespace.rungs, namespace.base or namespace.first)
+        session = draw_session(
+            seed, namespace.tier, namespace.rungs, namespace.base or namespace.first
+        )
         if session is None:
-            with skipped.open("a") as file:
+            with skipped_path.open("a") as file:
                 file.write(f"{seed}\n")
             continue
         if folder.exists():
-            shutil.rmtree(folder)  # left half made
-        sealed = make(folder, session)
+            shutil.rmtree(folder)  # a stop left it incomplete
+        sealed = make_case(folder, session)
         made += 1
-        rate_s = (time.monotonic() - begun_s) / made
-        sys.stderr.write(f"{seed} {session.rig.program} sealed {sealed}, {rate_s:.1f} s each\n")
+        each_s = (time.monotonic() - start_s) / made
+        sys.stderr.write(f"{seed} {session.rig.program} sealed {sealed}, {each_s:.1f} s each\n")
     return made
 
 
@@ -125,9 +133,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--first", type=int, required=True, help="first seed")
     parser.add_argument("--count", type=int, required=True)
     parser.add_argument("--tier", choices=TIERS, default="mixed")
-    parser.add_argument("--base", type=int, help="where a ladder's round begins; else --first")
+    parser.add_argument("--base", type=int, help="first seed of a ladder; default: --first")
     parser.add_argument("--rungs", type=float, nargs="+", default=[1.0, 2.0, 3.0])
-    parser.add_argument("--shard", default="1/1", metavar="K/N", help="only every N-th, from K")
+    parser.add_argument(
+        "--shard", default="1/1", metavar="K/N", help="make only every N-th session, from K"
+    )
     sys.stdout.write(f"{run(parser.parse_args(arguments))} made\n")
 
 

@@ -1,9 +1,9 @@
-"""Motion programs by name: shipped ones, backwards, or several one after the other.
+"""Motion programs by name: shipped programs, reversed programs, or several in sequence.
 
-What to use when: `program_text` for a shipped program, by its name, or by its name and
-"-backwards" for checks of what must not depend on the order of things, or by several names
-joined by "+" for a long session, or by the path of a YAML file. Programs that only tests use stand
-beside this file.
+What to use when: `read_program_text` for a program. Its name can be that of a shipped program, or
+the path of a YAML file. The suffix "-backwards" reverses the moves, for tests that must not depend
+on their order. Several names with "+" between them make a long session. Programs for tests are next
+to this file.
 """
 
 from pathlib import Path
@@ -16,12 +16,12 @@ BACKWARDS = "-backwards"
 Step = dict[str, dict[str, Any]]
 
 
-def program_text(name: str) -> bytes:
-    """Return a program as a file holds it."""
+def read_program_text(name: str) -> bytes:
+    """Return the text of a program."""
     if name.endswith(".yaml"):
         return Path(name).read_bytes()
     if "+" in name:
-        documents = [parse_yaml(program_text(part), part) for part in name.split("+")]
+        documents = [parse_yaml(read_program_text(part), part) for part in name.split("+")]
         steps = [step for document in documents for step in document["steps"]]
         return dump_yaml({**documents[0], "steps": steps}).encode()
     shipped = name.removesuffix(BACKWARDS)
@@ -30,16 +30,14 @@ def program_text(name: str) -> bytes:
     if shipped == name:
         return text
     document = parse_yaml(text, name)
-    return dump_yaml(
-        {**document, "name": name, "steps": reversed_steps(document["steps"])}
-    ).encode()
+    return dump_yaml({**document, "name": name, "steps": reverse_steps(document["steps"])}).encode()
 
 
-def reversed_steps(steps: list[Step]) -> list[Step]:
-    """Return steps in the opposite order, each move to where its axes came from.
+def reverse_steps(steps: list[Step]) -> list[Step]:
+    """Return the steps in the opposite order; each move goes back to the previous angles.
 
     Raises:
-        ValueError: the steps do not end where they begin, at zero, or do more than move and rest.
+        ValueError: the steps do not end at zero, or a step is not a move or a rest.
     """
     at = {"pan_deg": 0.0, "tilt_deg": 0.0}
     reversed_list: list[Step] = []
@@ -48,10 +46,10 @@ def reversed_steps(steps: list[Step]) -> list[Step]:
             reversed_list.append(step)
             continue
         if set(step) != {"move"}:
-            raise ValueError(f"{set(step)} has no opposite")
-        back = {key: at.get(key, value) for key, value in step["move"].items()}
+            raise ValueError(f"cannot reverse {set(step)}")
+        reversed_move = {key: at.get(key, value) for key, value in step["move"].items()}
         at |= {key: value for key, value in step["move"].items() if key in at}
-        reversed_list.append({"move": back})
+        reversed_list.append({"move": reversed_move})
     if any(at.values()):
-        raise ValueError(f"it ends at {at}, not where it began")
+        raise ValueError(f"the program ends at {at}, not at zero")
     return reversed_list[::-1]

@@ -1,8 +1,8 @@
-"""One session of an emulated rig with something hidden in it, recorded in this process.
+"""Record one session of an emulated rig with hidden effects, in this process.
 
-What to use when: `RigDraw` says what the rig is; `settings_of` as the emulator takes it;
-`record` writes the recording; `course` is what a program makes the axes do, for sizing
-before anything is recorded.
+What to use when: `RigDraw` describes the rig; `make_settings` converts it for the emulator;
+`record` writes the recording; `simulate_course` returns the motion of the axes under a program, for
+sizing before the recording.
 """
 
 import tempfile
@@ -12,7 +12,7 @@ from functools import lru_cache
 from pathlib import Path
 
 from mcap.reader import make_reader
-from tests.hidden.truth.programs import program_text
+from tests.hidden.truth.programs import read_program_text
 
 from gyrorig_daemon.clocks.capture_clock import CaptureClock, HostClocks
 from gyrorig_daemon.config import parse_rig
@@ -34,16 +34,16 @@ from gyrorig_protocol.recording.messages import imu_raw_topic
 
 ROOT = Path(__file__).resolve().parents[3]
 BOARD = "GY80-1"
-ORIGIN_NS = 5_000_000_000  # power-up, on the rig's raw clock
-_EPOCH_NS = 1_760_000_000_000_000_000  # the first session's begin; then one every 100 s
+ORIGIN_NS = 5_000_000_000  # time of power-up, on the rig's raw clock
+_EPOCH_NS = 1_760_000_000_000_000_000  # begin of the first session; the next begins 100 s later
 _GAP_NS = 100_000_000_000
 
-More = Callable[[RigHooks], None]
+ExtraEffects = Callable[[RigHooks], None]
 
 
 @dataclass(frozen=True, slots=True)
 class RigDraw:
-    """The rig of one session, besides what is drawn inside it from its seed."""
+    """Settings of the rig of one session; the emulator draws the rest from the seed."""
 
     seed: int
     program: str
@@ -56,54 +56,62 @@ class RigDraw:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Course:
-    """What a program made the axes do."""
+    """The motion of the axes under a program."""
 
-    orders: Mapping[str, Sequence[AxisCommand]]  # `pan` and `tilt`
-    until_ns: int  # the end, on the rig's clock
+    commands: Mapping[str, Sequence[AxisCommand]]  # `pan` and `tilt`
+    end_ns: int  # the end, on the rig's clock
     span_s: tuple[float, float]  # of the recorded samples, since power-up
 
     @property
     def moves_s(self) -> list[tuple[str, float]]:
         """Axis and begin of each move, since power-up."""
-        return [(n, o[1]) for n, orders in self.orders.items() for o in orders if o[0] == "move"]
+        return [
+            (axis, command[1])
+            for axis, commands in self.commands.items()
+            for command in commands
+            if command[0] == "move"
+        ]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RecordedSession:
-    """A session that was held."""
+    """A recorded session."""
 
     rig: EmulatedRig
     course: Course
 
 
-def settings_of(draw: RigDraw) -> RigSettings:
+def make_settings(draw: RigDraw) -> RigSettings:
     """Return the settings of a session's rig."""
-    order = _order(draw, Path())
-    settings = emulated_rig_settings(order.config, draw.seed)
+    request = _make_request(draw, Path())
+    settings = emulated_rig_settings(request.config, draw.seed)
     return replace(
         settings,
         injections=draw.hide,
         noise_free=draw.noise_free,
-        session_s=estimate_session_s(order.program),
+        session_s=estimate_session_s(request.program),
         soak_k=draw.soak_k,
     )
 
 
 def record(
-    draw: RigDraw, path: Path, truth: RigTruth | None = None, more: More | None = None
+    draw: RigDraw,
+    path: Path,
+    truth: RigTruth | None = None,
+    extra_effects: ExtraEffects | None = None,
 ) -> RecordedSession:
-    """Hold a session and put its recording at `path`.
+    """Record a session at `path`.
 
     Args:
         draw: the rig.
-        path: of the recording; its folder is there.
-        truth: of the rig; drawn from its seed where it is not given.
-        more: hangs on the rig what no cause is.
+        path: of the recording; its folder exists.
+        truth: of the rig; None: drawn from its seed.
+        extra_effects: adds effects to the rig that are not in the catalogue.
     """
     with tempfile.TemporaryDirectory(dir=path.parent) as folder:
-        order = _order(draw, Path(folder))
-        settings = settings_of(draw)
-        rig = EmulatedRig(settings, ORIGIN_NS, truth, more)
+        request = _make_request(draw, Path(folder))
+        settings = make_settings(draw)
+        rig = EmulatedRig(settings, ORIGIN_NS, truth, extra_effects)
         hub = VirtualHub(rig)
         capture = CaptureClock(_EPOCH_NS + _GAP_NS * (draw.seed % 1_000_000), hub.now_ns())
 
@@ -111,27 +119,27 @@ def record(
             now_ns = hub.now_ns()
             return HostClocks(now_ns, now_ns, capture.utc_ns(now_ns), 0.0, 0.0, 0)
 
-        around = SessionEnvironment(
+        environment = SessionEnvironment(
             capture, read_host, threaded_writer=False, host="emulated", seed=settings.seed
         )
-        made = record_session(hub, order, around)
-        span_s = _span_s(made, capture)
+        made = record_session(hub, request, environment)
+        span_s = _read_span_s(made, capture)
         made.replace(path)
-    orders = {"pan": tuple(rig.stage.pan.commands), "tilt": tuple(rig.stage.tilt.commands)}
-    return RecordedSession(rig, Course(orders, hub.now_ns(), span_s))
+    commands = {"pan": tuple(rig.stage.pan.commands), "tilt": tuple(rig.stage.tilt.commands)}
+    return RecordedSession(rig, Course(commands, hub.now_ns(), span_s))
 
 
 @lru_cache(maxsize=64)
-def course(program: str, ptu_baud: int, command_time_ms: float) -> Course:
-    """Return what a program makes the axes of a rig do: the same to a few ms on each rig."""
+def simulate_course(program: str, ptu_baud: int, command_time_ms: float) -> Course:
+    """Return the motion of the axes under a program; rigs differ by a few ms only."""
     draw = RigDraw(0, program, 0.0, ptu_baud, command_time_ms, noise_free=True)
     with tempfile.TemporaryDirectory() as folder:
         return record(draw, Path(folder) / "course.mcap").course
 
 
-def _order(draw: RigDraw, out: Path) -> SessionRequest:
-    config_text = _rig_text(draw.ptu_baud, draw.command_time_ms)
-    text = program_text(draw.program)
+def _make_request(draw: RigDraw, out: Path) -> SessionRequest:
+    config_text = _make_rig_text(draw.ptu_baud, draw.command_time_ms)
+    text = read_program_text(draw.program)
     return SessionRequest(
         config=parse_rig(config_text, "rig.yaml"),
         config_text=config_text,
@@ -143,16 +151,16 @@ def _order(draw: RigDraw, out: Path) -> SessionRequest:
 
 
 @lru_cache(maxsize=64)
-def _rig_text(ptu_baud: int, command_time_ms: float) -> bytes:
-    """Return the shipped rig with another line and controller."""
+def _make_rig_text(ptu_baud: int, command_time_ms: float) -> bytes:
+    """Return the shipped rig with another baud rate and controller."""
     document = parse_yaml((ROOT / "config" / "rig.yaml").read_bytes(), "rig.yaml")
     document["ptu"]["baud"] = ptu_baud
     document["emulator"]["command_time_ms"] = command_time_ms
     return dump_yaml(document).encode()
 
 
-def _span_s(path: Path, capture: CaptureClock) -> tuple[float, float]:
-    """Return when the first and the last sample came, since power-up."""
+def _read_span_s(path: Path, capture: CaptureClock) -> tuple[float, float]:
+    """Return the arrival times of the first and the last sample, since power-up."""
     with path.open("rb") as file:
         reader = make_reader(file)
         topics = [imu_raw_topic(BoardId(BOARD))]

@@ -1,4 +1,4 @@
-"""How a shape outside the catalogue gets into a rig: always with the same draws."""
+"""Add a shape outside the catalogue to a rig, with the same random draws each time."""
 
 from collections.abc import Callable
 
@@ -12,20 +12,24 @@ from gyrorig_daemon.emulator.physics.effects.rig_hooks import RigHooks
 _STREAM = 0x4F555453
 
 
-def hanger(shape: Shape, size: float, settings: RigSettings) -> Callable[[RigHooks], None]:
-    """Return what hangs a shape on hooks as they are at power-up."""
+def make_shape_adder(
+    shape: Shape, size: float, settings: RigSettings
+) -> Callable[[RigHooks], None]:
+    """Return the function that adds a shape to the hooks of a rig at power-up."""
 
-    def hang(hooks: RigHooks) -> None:
-        _hung(shape, size, settings, hooks)
+    def add(hooks: RigHooks) -> None:
+        _add_shape(shape, size, settings, hooks)
 
-    return hang
-
-
-def parameters(shape: Shape, size: float, settings: RigSettings) -> dict[str, Quantity]:
-    """Return the parameters that a shape is hung with."""
-    return _hung(shape, size, settings, RigHooks())
+    return add
 
 
-def _hung(shape: Shape, size: float, settings: RigSettings, hooks: RigHooks) -> dict[str, Quantity]:
+def list_parameters(shape: Shape, size: float, settings: RigSettings) -> dict[str, Quantity]:
+    """Return the parameters of a shape in a rig."""
+    return _add_shape(shape, size, settings, RigHooks())
+
+
+def _add_shape(
+    shape: Shape, size: float, settings: RigSettings, hooks: RigHooks
+) -> dict[str, Quantity]:
     rng = np.random.default_rng([settings.seed, _STREAM])
-    return shape.hang(Site(size, rng, hooks, settings))
+    return shape.add(Site(size, rng, hooks, settings))

@@ -1,8 +1,8 @@
-"""How large an effect has to be to be so and so visible, by its own noise-free difference.
+"""Find the size at which an effect has a wanted visibility, from its noise-free difference.
 
-What to use when: `Sizer` for one rig under one program: `visibility` of given sizes,
-`sized` for the size at a wanted non-centrality. The energy of most effects goes with the
-square of their size; for the others a secant in logarithms goes on until it fits.
+What to use when: `Sizer` for one rig under one program: `measure_visibility` for given sizes,
+`find_size` for the size at a wanted non-centrality. The energy of most effects is proportional to
+the square of their size. A secant search in logarithms finds the size of the others.
 """
 
 import math
@@ -11,9 +11,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from tests.hidden.truth.detectable import detectable_of
-from tests.hidden.truth.session import BOARD, ORIGIN_NS, Course, More
-from tests.hidden.truth.variance import jitter_noncentrality, walk_noncentrality
+from tests.hidden.truth.detectable import compute_detectable
+from tests.hidden.truth.session import BOARD, ORIGIN_NS, Course, ExtraEffects
+from tests.hidden.truth.variance import compute_jitter_noncentrality, compute_walk_noncentrality
 from tests.support.noncentrality import NuisanceProjector, Visibility
 
 from gyrorig_daemon.emulator.emulated_rig import EmulatedRig
@@ -24,177 +24,213 @@ from gyrorig_daemon.emulator.rig_truth import sample_rig_truth
 
 FloatArray = NDArray[np.float64]
 
-NEAR = 0.02  # of the wanted non-centrality
+TOLERANCE = 0.02  # of the wanted non-centrality
 COUNTED = (
     "lost_samples", "repeated_samples", "corrupt_samples", "axis_swap", "sign_flip",
     "wrong_full_scale",
 )  # fmt: skip
 IN_VARIANCE = ("sample_jitter", "bias_random_walk")
-_ROUNDS = 16
-_SMOOTH = 6  # rounds of secants
-_ROUGHLY = 0.3  # where no size fits, as for what begins with a jump
-_KEPT = 10  # rates, as they are asked for again
-_STEEPEST = 8.0  # of the energy with size, in logarithms
+_MAX_ROUNDS = 16
+_SECANT_ROUNDS = 6  # rounds of secants
+_MAX_MISS = 0.3  # in logarithms; an effect that begins with a jump has no exact size
+_MAX_CACHED = 10  # simulated rates
+_MAX_SLOPE = 8.0  # of the energy with size, in logarithms
 
 
 @dataclass(frozen=True, slots=True)
 class VisibleSize:
-    """A size and what it shows."""
+    """A size and its visibility."""
 
     size: float
-    seen: Visibility
-    detectable: float  # non-centrality that has to be there
+    visibility: Visibility
+    detectable: float  # minimal detectable non-centrality
 
     @property
     def times(self) -> float:
-        """How many times the minimal detectable size it is."""
-        return math.sqrt(max(self.seen.noncentrality, 0.0) / self.detectable)
+        """The size in minimal detectable sizes."""
+        return math.sqrt(max(self.visibility.noncentrality, 0.0) / self.detectable)
 
 
 class Sizer:
-    """Visibility of what may be hidden in one rig under one program."""
+    """Visibility of hidden effects in one rig under one program."""
 
     def __init__(self, settings: RigSettings, course: Course) -> None:
-        """Take the rig, and what its axes are told."""
+        """Store the rig and the motion of its axes."""
         self._settings = replace(settings, injections=(), noise_free=True)
         self._course = course
         truth = sample_rig_truth(self._settings)
         self._board = truth.boards[BOARD].to_document()
-        self._twins = RigTwin(self._settings, ORIGIN_NS, course.orders, course.until_ns, truth)
-        self._known: dict[tuple[InjectionRequest, ...], NoiseFreeRates] = {}
+        self._twin = RigTwin(self._settings, ORIGIN_NS, course.commands, course.end_ns, truth)
+        self._cached_rates: dict[tuple[InjectionRequest, ...], NoiseFreeRates] = {}
         self._plain: NoiseFreeRates | None = None
-        self._plain_space: NuisanceProjector | None = None
+        self._plain_projector: NuisanceProjector | None = None
 
-    def rates(self, *hide: InjectionRequest, more: More | None = None) -> NoiseFreeRates:
-        """Return the rates with something hidden, and without it."""
-        known = self._known.get(hide) if more is None else None
-        if known is not None:
-            return known
+    def simulate_rates(
+        self, *hide: InjectionRequest, extra_effects: ExtraEffects | None = None
+    ) -> NoiseFreeRates:
+        """Return the rates with and without hidden effects."""
+        cached = self._cached_rates.get(hide) if extra_effects is None else None
+        if cached is not None:
+            return cached
         settings = replace(self._settings, injections=hide)
-        rates = self._twins.rates(EmulatedRig(settings, ORIGIN_NS, extra_effects=more))[BOARD]
-        if more is None:
-            self._known[hide] = rates
-            if len(self._known) > _KEPT:
-                del self._known[next(iter(self._known))]
+        rates = self._twin.rates(EmulatedRig(settings, ORIGIN_NS, extra_effects=extra_effects))[
+            BOARD
+        ]
+        if extra_effects is None:
+            self._cached_rates[hide] = rates
+            if len(self._cached_rates) > _MAX_CACHED:
+                del self._cached_rates[next(iter(self._cached_rates))]
         return rates
 
-    def space(self, rates: NoiseFreeRates) -> NuisanceProjector:
-        """Return the space beside what a calibration estimates of such rates."""
+    def select_projector(self, rates: NoiseFreeRates) -> NuisanceProjector:
+        """Return the projector that removes the parameters of a calibration from such rates."""
         if rates.aligned_rad_s is not rates.plain_rad_s:
-            return self._space_with_rates(rates)
-        if self._plain_space is None:
-            self._plain_space = self._space_with_rates(rates)
-        return self._plain_space
+            return self._make_projector(rates)
+        if self._plain_projector is None:
+            self._plain_projector = self._make_projector(rates)
+        return self._plain_projector
 
-    def visibility(self, *hide: InjectionRequest, more: More | None = None) -> Visibility:
-        """Return how visible it is."""
-        rates = self.rates(*hide, more=more)
-        return self.space(rates).visibility(rates)
+    def measure_visibility(
+        self, *hide: InjectionRequest, extra_effects: ExtraEffects | None = None
+    ) -> Visibility:
+        """Return the visibility of hidden effects."""
+        rates = self.simulate_rates(*hide, extra_effects=extra_effects)
+        return self.select_projector(rates).visibility(rates)
 
-    def beside_others(self, orders: Sequence[InjectionRequest | None]) -> list[float | None]:
-        """Return each effect's non-centrality with the effects of the others taken off too."""
-        left: list[FloatArray | None] = []
-        for order in orders:
-            rates = None if order is None else self.rates(order)
-            left.append(None if rates is None else self.space(rates).projected_effect(rates))
+    def compute_separate_noncentralities(
+        self, requests: Sequence[InjectionRequest | None]
+    ) -> list[float | None]:
+        """Return the non-centrality of each effect after projecting out the other effects."""
+        signals: list[FloatArray | None] = []
+        for request in requests:
+            rates = None if request is None else self.simulate_rates(request)
+            signals.append(
+                None if rates is None else self.select_projector(rates).projected_effect(rates)
+            )
         shares: list[float | None] = []
-        for k, signal in enumerate(left):
+        for k, signal in enumerate(signals):
             if signal is None:
                 shares.append(None)
                 continue
-            others = [o for j, o in enumerate(left) if j != k and o is not None]
-            rest = signal
+            others = [o for j, o in enumerate(signals) if j != k and o is not None]
+            separate = signal
             if others:
                 basis = np.stack(others, axis=1)
-                rest = signal - basis @ np.linalg.lstsq(basis, signal, rcond=None)[0]
-            shares.append(float(rest @ rest))
+                separate = signal - basis @ np.linalg.lstsq(basis, signal, rcond=None)[0]
+            shares.append(float(separate @ separate))
         return shares
 
-    def of_cause(self, name: str, place: str) -> Callable[[float], Visibility]:
-        """Return how visible a cause is, by its size."""
+    def make_visibility_function(self, name: str, place: str) -> Callable[[float], Visibility]:
+        """Return a function that returns the visibility of a cause of a given size."""
         if name == "sample_jitter":
-            plain = self._plain_rates()
-            unit = jitter_noncentrality(self.space(plain), plain)
-            return lambda size: Visibility(unit * size**4, 0.0)
+            plain = self._simulate_plain_rates()
+            unit_noncentrality = compute_jitter_noncentrality(self.select_projector(plain), plain)
+            return lambda size: Visibility(unit_noncentrality * size**4, 0.0)
         if name == "bias_random_walk":
-            return lambda size: Visibility(self._walk(place, size), 0.0)
-        return lambda size: self.visibility(InjectionRequest(name, place, size))
+            return lambda size: Visibility(self._compute_walk_noncentrality(place, size), 0.0)
+        return lambda size: self.measure_visibility(InjectionRequest(name, place, size))
 
-    def sized(
+    def find_size(
         self,
-        seen: Callable[[float], Visibility],
+        visibility_at: Callable[[float], Visibility],
         wanted: tuple[float, float],
         start: float,
         most: float,
     ) -> VisibleSize | None:
-        """Return the size at which an effect is so many times its minimal detectable size.
+        """Return the size of an effect that is a wanted multiple of its minimal detectable size.
 
         Args:
-            seen: how visible it is, by size; grows with the size's amount.
-            wanted: how many times, and the minimal detectable non-centrality.
-            start: a size to begin with; its sign is kept.
-            most: amount that it may have at most.
+            visibility_at: visibility of a size; it grows with the absolute size.
+            wanted: the multiple, and the minimal detectable non-centrality.
+            start: first size of the search; the result has the same sign.
+            most: largest absolute size.
 
         Returns:
-            None where it needs more than the most.
+            None if the effect needs a larger size.
         """
         times, least = wanted
-        aim = math.log(times**2 * least)
-        sign, x, top = math.copysign(1.0, start), math.log(min(abs(start), most)), math.log(most)
+        target = math.log(times**2 * least)
+        sign, log_size, top = (
+            math.copysign(1.0, start),
+            math.log(min(abs(start), most)),
+            math.log(most),
+        )
         low, high = -math.inf, math.inf
         best: tuple[float, VisibleSize] | None = None
         before: tuple[float, float] | None = None
-        for round_ in range(_ROUNDS):
-            visibility = seen(sign * math.exp(x))
-            y = math.log(max(visibility.noncentrality, 1e-12))
-            if best is None or abs(y - aim) < best[0]:
-                best = abs(y - aim), VisibleSize(sign * math.exp(x), visibility, least)
-            if best[0] < NEAR or (y < aim and x >= top - 1e-12):
+        for round_ in range(_MAX_ROUNDS):
+            visibility = visibility_at(sign * math.exp(log_size))
+            log_noncentrality = math.log(max(visibility.noncentrality, 1e-12))
+            if best is None or abs(log_noncentrality - target) < best[0]:
+                best = (
+                    abs(log_noncentrality - target),
+                    VisibleSize(sign * math.exp(log_size), visibility, least),
+                )
+            if best[0] < TOLERANCE or (log_noncentrality < target and log_size >= top - 1e-12):
                 break
-            low, high = (max(low, x), high) if y < aim else (low, min(high, x))
+            low, high = (
+                (max(low, log_size), high)
+                if log_noncentrality < target
+                else (low, min(high, log_size))
+            )
             slope = 2.0
-            if before is not None and abs(x - before[0]) > 1e-9:
-                slope = min(max((y - before[1]) / (x - before[0]), 0.5), _STEEPEST)
-            before = x, y
-            x = min(x + min(max((aim - y) / slope, -4.0), 4.0), top)
-            if not low < x < high or (round_ > _SMOOTH and math.isfinite(high - low)):
-                x = 0.5 * (low + high)  # what jumps with the size is halved until it fits
-        return best[1] if best is not None and best[0] < _ROUGHLY else None
+            if before is not None and abs(log_size - before[0]) > 1e-9:
+                slope = min(
+                    max((log_noncentrality - before[1]) / (log_size - before[0]), 0.5), _MAX_SLOPE
+                )
+            before = log_size, log_noncentrality
+            log_size = min(
+                log_size + min(max((target - log_noncentrality) / slope, -4.0), 4.0), top
+            )
+            if not low < log_size < high or (round_ > _SECANT_ROUNDS and math.isfinite(high - low)):
+                log_size = 0.5 * (low + high)  # the visibility jumps with the size: bisect
+        return best[1] if best is not None and best[0] < _MAX_MISS else None
 
-    def size_of_cause(self, name: str, place: str, times: float, sign: float) -> VisibleSize | None:
-        """Return a cause's size at so many times the minimal detectable one, None above the most.
+    def find_cause_size(
+        self, name: str, place: str, times: float, sign: float
+    ) -> VisibleSize | None:
+        """Return the size of a cause that is `times` its minimal detectable size.
 
-        A rate that is never exceeded is the smaller the more it shows; steps are lost whole.
+        None if the size would be larger than the largest size of the cause. A smaller saturation
+        limit is more visible. Lost steps are a whole number.
         """
-        cause, seen, least = CAUSES[name], self.of_cause(name, place), detectable_of(name)
+        cause, visibility_at, least = (
+            CAUSES[name],
+            self.make_visibility_function(name, place),
+            compute_detectable(name),
+        )
         if name == "saturation":
-            peak = float(np.abs(self._plain_rates().plain_rad_s).max())
-            size = self.sized(lambda x: seen(peak - x), (times, least), 0.05 * peak, 0.8 * peak)
-            return None if size is None else VisibleSize(peak - size.size, size.seen, least)
+            peak = float(np.abs(self._simulate_plain_rates().plain_rad_s).max())
+            size = self.find_size(
+                lambda x: visibility_at(peak - x), (times, least), 0.05 * peak, 0.8 * peak
+            )
+            return None if size is None else VisibleSize(peak - size.size, size.visibility, least)
         if cause.is_integer:
-            at_one = seen(1.0)
-            if at_one.noncentrality <= 0.0:
+            one_step = visibility_at(1.0)
+            if one_step.noncentrality <= 0.0:
                 return None
-            steps = max(round(times / VisibleSize(1.0, at_one, least).times), 1)
+            steps = max(round(times / VisibleSize(1.0, one_step, least).times), 1)
             return (
-                VisibleSize(sign * steps, seen(sign * steps), least)
+                VisibleSize(sign * steps, visibility_at(sign * steps), least)
                 if steps <= cause.sampled_max
                 else None
             )
-        return self.sized(seen, (times, least), sign * cause.typical, cause.sampled_max)
+        return self.find_size(
+            visibility_at, (times, least), sign * cause.typical, cause.sampled_max
+        )
 
-    def _plain_rates(self) -> NoiseFreeRates:
+    def _simulate_plain_rates(self) -> NoiseFreeRates:
         if self._plain is None:
-            self._plain = self.rates()
+            self._plain = self.simulate_rates()
         return self._plain
 
-    def _walk(self, place: str, size: float) -> float:
-        order = InjectionRequest("bias_random_walk", place, size)
-        settings = replace(self._settings, injections=(order,))
+    def _compute_walk_noncentrality(self, place: str, size: float) -> float:
+        request = InjectionRequest("bias_random_walk", place, size)
+        settings = replace(self._settings, injections=(request,))
         walk = sample_rig_truth(settings).injected[0].array("walk")
-        plain = self._plain_rates()
-        count = int(self.space(plain).inside.sum())
-        return walk_noncentrality(self._board, walk, count)
+        plain = self._simulate_plain_rates()
+        count = int(self.select_projector(plain).inside.sum())
+        return compute_walk_noncentrality(self._board, walk, count)
 
-    def _space_with_rates(self, rates: NoiseFreeRates) -> NuisanceProjector:
+    def _make_projector(self, rates: NoiseFreeRates) -> NuisanceProjector:
         return NuisanceProjector(rates, self._board, self._course.moves_s, self._course.span_s)

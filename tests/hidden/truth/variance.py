@@ -1,8 +1,8 @@
-"""How visible an effect is that only makes a residual scatter more.
+"""Non-centrality of an effect that only increases the scatter of a residual.
 
-With S the variance that it adds, in units of the noise's, the score of its size is a test of
-the variance; its non-centrality is tr(S^2) / 2 (half the Fisher information of covariance
-parameters), less what unknown levels of the noise absorb.
+Let S be the added variance in units of the variance of the noise. The score of the size is then a
+test of the variance. Its non-centrality is tr(S^2) / 2 (half the Fisher information of covariance
+parameters), minus the part that the unknown noise levels absorb.
 """
 
 from collections.abc import Mapping
@@ -17,18 +17,18 @@ from gyrorig_daemon.emulator.rig_truth import DEG
 
 FloatArray = NDArray[np.float64]
 
-_DRAWS = 120  # pairs of them: 7140, so that a trace is known to 2 %
+_DRAWS = 120  # with 7140 pairs, the error of a trace is 2 %
 
-# The noisiest board that the spread of the parts allows: more is an effect, less is a board.
+# Noise of the noisiest board that the spread of the parts allows. Only more noise is an effect.
 _MOST_FLICKER_RAD_S = 40.0 * DEG / 3600.0
 _MOST_WALK = 0.45e-3 * DEG
 
 
-def jitter_noncentrality(space: NuisanceProjector, rates: NoiseFreeRates) -> float:
-    """Return the non-centrality of jitter of 1 s, by pairs of random draws.
+def compute_jitter_noncentrality(space: NuisanceProjector, rates: NoiseFreeRates) -> float:
+    """Return the non-centrality of jitter of 1 s, from pairs of random draws.
 
-    (a . b)^2 of two independent draws has the mean tr(S^2); what each axis' white level
-    absorbs is (tr S)^2 / n of it.
+    The mean of (a . b)^2 over pairs of independent draws is tr(S^2). The white level of each axis
+    absorbs (tr S)^2 / n of it.
     """
     rng = np.random.default_rng(0)
     slope = rates.slope_rad_s2[space.inside]
@@ -43,13 +43,13 @@ def jitter_noncentrality(space: NuisanceProjector, rates: NoiseFreeRates) -> flo
     return float(0.5 * max(whole - level, 0.0))
 
 
-def walk_noncentrality(board: Mapping[str, Any], walk: FloatArray, count: int) -> float:
-    """Return the non-centrality of more random walk than the noisiest board has.
+def compute_walk_noncentrality(board: Mapping[str, Any], walk: FloatArray, count: int) -> float:
+    """Return the non-centrality of random walk beyond that of the noisiest board.
 
     Args:
         board: its truth document.
-        walk: what is added, rad/s per sqrt(s), (3,).
-        count: samples.
+        walk: added random walk, rad/s per sqrt(s), (3,).
+        count: number of samples.
     """
     odr_hz = float(board["odr_hz"])
     noisy = {

@@ -4,8 +4,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.hidden.truth.draws import drawn
-from tests.hidden.truth.make import make
+from tests.hidden.truth.draws import draw_session
+from tests.hidden.truth.make import make_case
 from tests.hidden.truth.session import BOARD, RigDraw, record
 from tests.support.board_fits import explain_recordings, fit_base_model
 
@@ -22,9 +22,9 @@ CLOCK_STEP_S = 8e-3  # of the session below; a pulse of lost steps is 10 ms long
 
 def recording_of(seed: int, tmp_path: Path) -> Path:
     """Return the recording of a session with four to eight causes."""
-    session = drawn(seed, "many")
+    session = draw_session(seed, "many")
     assert session is not None
-    make(tmp_path, session)
+    make_case(tmp_path, session)
     return tmp_path / "recording.mcap"
 
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 from tests.bench.rigs.recording_file import BOARD
-from tests.hidden.independent.draws import drawn
-from tests.hidden.independent.make import make
+from tests.hidden.independent.draws import draw_session
+from tests.hidden.independent.make import make_case
 from tests.support.board_fits import explain_recordings
 
 from gyrorig_protocol.recording.reader import read_recording
@@ -35,10 +35,10 @@ def test_the_share_is_a_first_order_lag_behind_the_moves() -> None:
 @pytest.mark.parametrize("seed", [13003, 13046, 13050])
 def test_heat_of_the_motors_gets_no_name(seed: int, tmp_path: Path) -> None:
     """The second simulator has this effect; earlier it was a warm-up, a step and a walk."""
-    session = drawn(seed, "outside")
+    session = draw_session(seed, "outside")
     assert session.effect is not None
     assert session.effect.entry.name == "motor_heat"
-    make(tmp_path, session)
+    make_case(tmp_path, session)
     recording = read_recording(tmp_path / "recording.mcap")
     findings = explain_recordings([recording], BOARD).findings
     assert not findings.causes

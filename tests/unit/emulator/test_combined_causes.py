@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from tests.hidden.truth.draws import LINES, sizer_of
+from tests.hidden.truth.draws import LINES, make_sizer
 from tests.hidden.truth.session import RigDraw
 
 from gyrorig_daemon.emulator.emulator_settings import InjectionRequest
@@ -26,11 +26,11 @@ MOST_TOGETHER = 0.05  # of the compliance's largest effect
 def test_a_non_linear_term_does_not_act_on_the_spikes_of_a_stiff_base(
     cause: str, size: float
 ) -> None:
-    sizer = sizer_of(RIG)
+    sizer = make_sizer(RIG)
     other = InjectionRequest(cause, "", size)
 
     def effect(*orders: InjectionRequest) -> np.ndarray:
-        return sizer.rates(*orders).hidden_rad_s - sizer.rates(JUMP).hidden_rad_s
+        return sizer.simulate_rates(*orders).hidden_rad_s - sizer.simulate_rates(JUMP).hidden_rad_s
 
     spikes = effect(JUMP, COMPLIANCE)
     together = effect(JUMP, COMPLIANCE, other) - spikes - effect(JUMP, other)

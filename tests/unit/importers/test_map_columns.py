@@ -6,7 +6,7 @@ from pathlib import Path
 import msgspec
 import numpy as np
 import pytest
-from docs.map_page import key_meanings
+from docs.map_page import read_key_meanings
 from docs.site_pages import PAGES
 from scipy.spatial.transform import Rotation
 from tests.unit.importers.test_import_measurements import BASE, archive, mapped, messages, sound
@@ -259,6 +259,6 @@ def test_every_key_of_a_map_has_a_meaning() -> None:
     page = PAGES["reference/import-map.md"]()
     for struct in (ImportMap, TableLayout, TimeBase, GyroColumns, AccelColumns, AttitudeColumns):
         fields = {field.encode_name for field in msgspec.structs.fields(struct)}
-        assert set(key_meanings(struct)) == fields
+        assert set(read_key_meanings(struct)) == fields
         for name in fields:
             assert f"| `{name}` |" in page

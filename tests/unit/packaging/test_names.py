@@ -62,4 +62,4 @@ def test_every_package_says_what_is_in_it(package: str) -> None:
 
 def test_the_drawing_of_the_layers_shows_the_imports() -> None:
     drawn = layers.PICTURE.read_text(encoding="utf-8")
-    assert drawn == layers.draw(), "run `python -m docs.layers`"
+    assert drawn == layers.draw_layers(), "run `python -m docs.layers`"

@@ -20,18 +20,18 @@ def document() -> str:
 
 @pytest.mark.pages
 def test_blocks_are_what_the_scripts_give(document: str) -> None:
-    assert blocks.written(document, write.QUICK) == document
+    assert blocks.replace_blocks(document, write.QUICK) == document
 
 
 def test_every_block_is_in_the_document_once(document: str) -> None:
-    names = blocks.block_names(document)
+    names = blocks.read_block_names(document)
     assert len(set(names)) == len(names)
     assert set(names) == {*write.QUICK, *end_to_end.BLOCKS}
 
 
 def test_decimals_in_prose_stand_in_a_block_too(document: str) -> None:
     """A number that is written by hand is one that a script printed."""
-    made = " ".join(blocks.bodies(document).values())
+    made = " ".join(blocks.read_block_bodies(document).values())
     prose = blocks.BLOCK.sub("", document)
     by_hand = set(DECIMAL.findall(prose)) - PRINTED_IN_THE_PAPER
     assert {number for number in by_hand if number not in made} == set()
@@ -39,7 +39,7 @@ def test_decimals_in_prose_stand_in_a_block_too(document: str) -> None:
 
 def test_a_changed_number_is_found(document: str) -> None:
     changed = document.replace("0.07445", "0.07446")
-    assert blocks.written(changed, {"table-1": write.QUICK["table-1"]}) != changed
+    assert blocks.replace_blocks(changed, {"table-1": write.QUICK["table-1"]}) != changed
 
 
 @pytest.mark.pages
@@ -49,9 +49,9 @@ def test_end_to_end_blocks_are_what_the_rig_gives(document: str) -> None:
     Exact digits would tie the document to one processor's rounding, and to the
     millisecond in which each command of the emulated session goes out.
     """
-    bodies = blocks.bodies(document)
+    bodies = blocks.read_block_bodies(document)
     for name, block in end_to_end.BLOCKS.items():
-        assert blocks.unlike(bodies[name], block() + "\n", 0.10, 5.0) == "", name
+        assert blocks.describe_difference(bodies[name], block() + "\n", 0.10, 5.0) == "", name
 
 
 def test_figures_are_there_and_small(document: str, tmp_path: Path) -> None:

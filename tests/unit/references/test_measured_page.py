@@ -56,8 +56,8 @@ def test_the_exit_statuses_follow_the_contract(measured: sessions.MeasuredSets) 
 def test_what_they_write_keeps_the_contracts(
     measured: sessions.MeasuredSets, contract_judge: Path
 ) -> None:
-    recordings, documents = measured.recordings(), measured.documents()
-    explanations = measured.explanations()
+    recordings, documents = measured.list_recordings(), measured.list_documents()
+    explanations = measured.list_explanations()
     findings = [path for path in documents if path.name.endswith(FINDINGS_SUFFIX)]
     # 12 calibrations; the four from known turns or gravity are not searched for causes.
     assert (len(recordings), len(documents), len(findings)) == (14, 20, 8)
@@ -72,7 +72,7 @@ def test_what_they_write_keeps_the_contracts(
 
 
 def test_a_calibration_names_the_findings_beside_it(measured: sessions.MeasuredSets) -> None:
-    for path in measured.documents():
+    for path in measured.list_documents():
         if path.name.endswith(FINDINGS_SUFFIX):
             continue
         findings = path.with_name(path.stem + FINDINGS_SUFFIX)
@@ -83,9 +83,9 @@ def test_a_calibration_names_the_findings_beside_it(measured: sessions.MeasuredS
 
 
 def test_every_block_is_in_the_page_once(measured: sessions.MeasuredSets, document: str) -> None:
-    names = blocks.block_names(document)
+    names = blocks.read_block_names(document)
     assert len(set(names)) == len(names)
-    assert set(names) == set(write.blocks(measured))
+    assert set(names) == set(write.make_blocks(measured))
 
 
 def test_blocks_are_what_the_commands_give(measured: sessions.MeasuredSets, document: str) -> None:
@@ -94,14 +94,14 @@ def test_blocks_are_what_the_commands_give(measured: sessions.MeasuredSets, docu
     Less than any of the standard deviations beside them.
     """
     pytest.importorskip("imucal")
-    printed = blocks.bodies(document)
-    for name, block in write.blocks(measured).items():
-        assert blocks.unlike(printed[name], block() + "\n", 0.01, 3.0) == "", name
+    printed = blocks.read_block_bodies(document)
+    for name, block in write.make_blocks(measured).items():
+        assert blocks.describe_difference(printed[name], block() + "\n", 0.01, 3.0) == "", name
 
 
 def test_decimals_in_prose_stand_in_a_block_too(document: str) -> None:
     """A number that is written by hand is one that a command gave."""
-    made = " ".join(blocks.bodies(document).values())
+    made = " ".join(blocks.read_block_bodies(document).values())
     by_hand = set(DECIMAL.findall(blocks.BLOCK.sub("", document)))
     assert {number for number in by_hand if number not in made} == set()
 
@@ -109,7 +109,7 @@ def test_decimals_in_prose_stand_in_a_block_too(document: str) -> None:
 def test_gains_of_a_document_are_those_of_the_fit(measured: sessions.MeasuredSets) -> None:
     """The page goes back from S, T, M and their covariance; the solver has G at first hand."""
     fit = solve_recordings([read_recording(measured.folder / "ferraris.mcap")], "FERRARIS")
-    gain, std = sessions.gain_and_std(measured.calibration("FERRARIS"))
+    gain, std = sessions.compute_gain_and_std(measured.read_calibration("FERRARIS"))
     np.testing.assert_allclose(gain, fit.gain, atol=1e-12)
     np.testing.assert_allclose(std, fit.gain_std, rtol=1e-6)
 
@@ -118,15 +118,15 @@ def test_imu_tk_method_run_here_gives_what_its_program_printed(
     measured: sessions.MeasuredSets,
 ) -> None:
     """On all moves: each entry of the gain within a third of the standard deviation it printed."""
-    loaded = measured.load("xsens")
+    loaded = measured.load_recording("xsens")
     samples = loaded.samples
     moves, _ = held_out_moves.find_moves(samples, loaded.rests[0])
     scale_rad_s = samples.quantum_rad_s
     first = (IMU_TK.b_counts - held_out_moves.OFFSET_COUNTS) * scale_rad_s
-    result = held_out_moves.gain_as_imu_tk(samples, moves, first, 0.76 * np.eye(3))
-    std = IMU_TK.spread(lambda gain: gain, scale_rad_s)
+    result = held_out_moves.fit_gain_as_imu_tk(samples, moves, first, 0.76 * np.eye(3))
+    std = IMU_TK.propagate_std(lambda gain: gain, scale_rad_s)
     assert len(moves) == 37  # as its program counts them
-    assert np.abs((result - IMU_TK.gain(scale_rad_s)) / std).max() < 1.0 / 3.0
+    assert np.abs((result - IMU_TK.compute_gain(scale_rad_s)) / std).max() < 1.0 / 3.0
 
 
 def test_without_the_data_the_script_says_what_to_do(tmp_path: Path) -> None:

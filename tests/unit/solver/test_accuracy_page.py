@@ -6,7 +6,7 @@ from docs.accuracy import write
 
 def test_the_page_has_the_results() -> None:
     text = write.DOCUMENT.read_text(encoding="utf-8")
-    assert set(blocks.block_names(text)) == set(write.BLOCKS)
-    for name, body in blocks.bodies(text).items():
+    assert set(blocks.read_block_names(text)) == set(write.BLOCKS)
+    for name, body in blocks.read_block_bodies(text).items():
         made = write.BLOCKS[name]() + "\n"
-        assert blocks.unlike(body, made, 1e-9, 1.0) == ""
+        assert blocks.describe_difference(body, made, 1e-9, 1.0) == ""

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from tests.hidden.independent.draws import drawn
-from tests.hidden.independent.make import make
+from tests.hidden.independent.draws import draw_session
+from tests.hidden.independent.make import make_case
 from tests.unit.twin.conftest import record, run_gyrorig
 
 from gyrorig_protocol.twin import Vector, parse_twin
@@ -30,7 +30,7 @@ def twin_floor(recording: Path, out: Path) -> Vector:
 
 @pytest.mark.long
 def test_recording_twin_and_recording_of_the_twin_have_one_floor(tmp_path: Path) -> None:
-    make(tmp_path / "case", drawn(SEED, "nulls"))
+    make_case(tmp_path / "case", draw_session(SEED, "nulls"))
     answer = json.loads((tmp_path / "case" / "answer.json").read_text("utf-8"))
     (truth,) = answer["truth"]["boards"].values()
     true_floor = np.full(3, truth["floor_rad_s_rthz"])

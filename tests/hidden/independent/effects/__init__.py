@@ -1,6 +1,6 @@
-"""Effects of real rigs that neither the catalogue nor `tests.hidden.truth.outside` has.
+"""Effects of real rigs that are not in the catalogue and not in `tests.hidden.truth.outside`.
 
-`EFFECTS` has one entry for each.
+`EFFECTS` has one entry for each effect.
 """
 
 from tests.hidden.independent.effects.mechanics import MECHANICS

@@ -1,4 +1,4 @@
-"""What an effect outside the catalogue may change, and how a table states it.
+"""Interface of an effect outside the catalogue, and its entry in the table.
 
 An effect overrides one method of `Effect`. `OutsideEffect` is its entry in the table.
 """
@@ -16,16 +16,16 @@ class Effect:
     """An effect that changes nothing; others override one method."""
 
     def added_angles_rad(self, tracks: StepTracks) -> tuple[FloatArray, FloatArray]:
-        """Return what is added to the angles of pan and tilt at the edges of the grid."""
+        """Return the added angles of pan and tilt at the edges of the grid."""
         nothing = np.zeros(tracks.edges_s.size)
         return nothing, nothing
 
     def added_rates_rad_s(self, motion: StageMotion, span_s: tuple[float, float]) -> FloatArray:
-        """Return what is added to the sensing element's output, (n, 3) or (1, 3)."""
+        """Return the added rates at the output of the sensing element, (n, 3) or (1, 3)."""
         return np.zeros((1, 3))
 
     def axis_lags_s(self) -> FloatArray:
-        """Return what is added to the lag of each axis, (3,)."""
+        """Return the added lag of each axis, (3,)."""
         return np.zeros(3)
 
     def noise_amplitude(self, motion: StageMotion, span_s: tuple[float, float]) -> FloatArray:
@@ -41,7 +41,7 @@ class Site:
     rng: np.random.Generator
     span_s: tuple[float, float]
 
-    def direction(self) -> FloatArray:
+    def draw_direction(self) -> FloatArray:
         """Return a random direction whose largest component is 1, (3,)."""
         drawn = self.rng.standard_normal(3)
         return np.asarray(drawn / np.abs(drawn).max())
@@ -52,15 +52,15 @@ class OutsideEffect:
     """One effect outside the catalogue.
 
     Attributes:
-        start: a size with which the search for the right size begins.
-        most: a larger size is not this effect any more.
-        groups: covariates, one of which an explanation has to state.
+        start: first size of the search for the right size.
+        most: largest size that still is this effect.
+        groups: covariates, one of which an explanation must report.
         in_variance: whether it changes only the scatter.
-        near: a cause of the catalogue that it is a variety of.
+        near: the similar cause of the catalogue.
     """
 
     name: str
-    says: str
+    description: str
     unit: str
     start: float
     most: float

@@ -19,7 +19,7 @@ class AxisDelays(Effect):
     lags_s: FloatArray  # (3,)
 
     def axis_lags_s(self) -> FloatArray:
-        """Return what is added to the lag of each axis."""
+        """Return the added lag of each axis."""
         return self.lags_s
 
 
@@ -42,25 +42,26 @@ class Bursts(Effect):
         return np.outer(jumped, self.jump_rad_s)
 
 
-def _axis_delays(site: Site) -> Effect:
+def _make_axis_delays(site: Site) -> Effect:
     order = site.rng.permutation(3).astype(np.float64)
     return AxisDelays(site.size * order / 2.0)
 
 
-def _bursts(site: Site) -> Effect:
+def _make_bursts(site: Site) -> Effect:
     rng = site.rng
     count = max(3, round(BURSTS_PER_S * (site.span_s[1] - site.span_s[0])))
-    jump = site.size * site.direction()
+    jump = site.size * site.draw_direction()
     return Bursts(jump, np.sort(rng.uniform(size=count)), rng.uniform(*BURST_S, size=count))
 
 
 SENSING = (
     OutsideEffect(
         "axis_delays", "the axes are read at different instants", "s", 1e-3, 0.01,
-        ("pan_transient", "tilt_transient", "move_gain", "move_delay", "own_rate"), _axis_delays,
+        ("pan_transient", "tilt_transient", "move_gain", "move_delay", "own_rate"),
+        _make_axis_delays,
     ),
     OutsideEffect(
         "bursts", "the bias jumps for a short time and returns", "rad/s", 2e-3, 0.1,
-        ("bias_time", "move_gain", "pan_transient", "tilt_transient"), _bursts,
+        ("bias_time", "move_gain", "pan_transient", "tilt_transient"), _make_bursts,
     ),
 )  # fmt: skip

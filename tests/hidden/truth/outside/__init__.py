@@ -1,6 +1,7 @@
-"""Effects that are in no catalogue, and some that are nearly in it, for hidden tests only.
+"""Effects outside the catalogue, and effects similar to a cause, for hidden tests only.
 
-What to use when: `OUTSIDE` and `NEARLY` for the shapes by name. No `--hide` reaches them.
+What to use when: `OUTSIDE` and `NEARLY` for the shapes by name. The option `--hide` does not have
+these names.
 """
 
 from tests.hidden.truth.outside.nearly import NEARLY

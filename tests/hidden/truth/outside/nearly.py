@@ -1,6 +1,6 @@
-"""Shapes near a cause of the catalogue: softer, lagged or richer than it.
+"""Shapes similar to a cause of the catalogue: softer, delayed, or with more harmonics.
 
-Right are the cause with a flagged rest, or "unexplained" with what it depends on.
+A right result is the cause with a reported rest, or "unexplained" with the right covariate.
 """
 
 import math
@@ -22,15 +22,15 @@ _WORM_TURNS = 17.5
 _WIDTHS = (0.25, 0.75, 1.25, 1.75)  # of the gap's mean
 
 
-def _vector(values: np.ndarray, unit: str) -> Quantity:
+def _make_vector(values: np.ndarray, unit: str) -> Quantity:
     return Quantity(tuple(values.tolist()), unit)
 
 
-def _phase(site: Site) -> float:
+def _draw_phase(site: Site) -> float:
     return float(site.rng.uniform(-math.pi, math.pi))
 
 
-def _soft_play(site: Site) -> dict[str, Quantity]:
+def _add_soft_play(site: Site) -> dict[str, Quantity]:
     unit = site.rig.ptu or PtuSettings()
     gap_steps = site.size / (unit.resolution_arcsec * ARCSEC_RAD)
     plays = tuple(Backlash(gap_steps * width) for width in _WIDTHS)
@@ -38,25 +38,25 @@ def _soft_play(site: Site) -> dict[str, Quantity]:
     return {"mean_gap": Quantity(site.size, "rad")}
 
 
-def _slow_thermal(site: Site) -> dict[str, Quantity]:
-    slope = site.size * site.direction()
+def _add_slow_thermal(site: Site) -> dict[str, Quantity]:
+    slope = site.size * site.draw_direction()
     first_s, second_s = (float(site.rng.uniform(*span)) for span in ((20.0, 40.0), (60.0, 120.0)))
     site.hooks.board(site.board).bias_effects.append(SlowThermal(slope, first_s, second_s))
-    return {"slope": _vector(slope, "rad/s/K"), "first_lag": Quantity(first_s, "s"),
+    return {"slope": _make_vector(slope, "rad/s/K"), "first_lag": Quantity(first_s, "s"),
             "second_lag": Quantity(second_s, "s")}  # fmt: skip
 
 
-def _double_warm_up(site: Site) -> dict[str, Quantity]:
-    start = site.size * site.direction()
+def _add_double_warm_up(site: Site) -> dict[str, Quantity]:
+    start = site.size * site.draw_direction()
     fast_s, slow_s = (float(site.rng.uniform(*span)) for span in ((12.0, 25.0), (120.0, 240.0)))
     board = site.hooks.board(site.board)
     board.bias_effects += [WarmUp(0.6 * start, fast_s), WarmUp(0.4 * start, slow_s)]
-    return {"at_power_up": _vector(start, "rad/s"), "fast": Quantity(fast_s, "s"),
+    return {"at_power_up": _make_vector(start, "rad/s"), "fast": Quantity(fast_s, "s"),
             "slow": Quantity(slow_s, "s")}  # fmt: skip
 
 
-def _rich(site: Site, first: float, second: float, share: float) -> dict[str, Quantity]:
-    phases = _phase(site), _phase(site)
+def _add_two_waves(site: Site, first: float, second: float, share: float) -> dict[str, Quantity]:
+    phases = _draw_phase(site), _draw_phase(site)
     site.hooks.pan.angle_effects += [
         Harmonic(site.size, first, phases[0]), Harmonic(share * site.size, second, phases[1])
     ]  # fmt: skip
@@ -65,15 +65,15 @@ def _rich(site: Site, first: float, second: float, share: float) -> dict[str, Qu
             "second_phase": Quantity(phases[1], "rad")}  # fmt: skip
 
 
-def _rich_eccentricity(site: Site) -> dict[str, Quantity]:
-    return _rich(site, 1.0, 3.0, 0.5)
+def _add_rich_eccentricity(site: Site) -> dict[str, Quantity]:
+    return _add_two_waves(site, 1.0, 3.0, 0.5)
 
 
-def _rich_worm(site: Site) -> dict[str, Quantity]:
-    return _rich(site, _WORM_TURNS, 2.0 * _WORM_TURNS, 0.6)
+def _add_rich_worm(site: Site) -> dict[str, Quantity]:
+    return _add_two_waves(site, _WORM_TURNS, 2.0 * _WORM_TURNS, 0.6)
 
 
-def _two_modes(site: Site) -> dict[str, Quantity]:
+def _add_two_modes(site: Site) -> dict[str, Quantity]:
     low_hz, high_hz = (float(site.rng.uniform(*span)) for span in ((5.0, 8.0), (11.0, 15.0)))
     site.hooks.pan.angle_effects += [
         Ringing(site.size, low_hz, 0.05),
@@ -83,15 +83,15 @@ def _two_modes(site: Site) -> dict[str, Quantity]:
             "high": Quantity(high_hz, "Hz")}  # fmt: skip
 
 
-def _soft_zone(site: Site) -> dict[str, Quantity]:
+def _add_soft_zone(site: Site) -> dict[str, Quantity]:
     site.hooks.board(site.board).rate_effects.append(SoftDeadZone(site.size))
     return {"width": Quantity(site.size, "rad/s")}
 
 
-def _smooth_asymmetry(site: Site) -> dict[str, Quantity]:
-    share, width = site.size * site.direction(), float(site.rng.uniform(0.3, 0.8))
+def _add_smooth_asymmetry(site: Site) -> dict[str, Quantity]:
+    share, width = site.size * site.draw_direction(), float(site.rng.uniform(0.3, 0.8))
     site.hooks.board(site.board).rate_effects.append(SmoothAsymmetry(share, width))
-    return {"share": _vector(share, "1"), "width": Quantity(width, "rad/s")}
+    return {"share": _make_vector(share, "1"), "width": Quantity(width, "rad/s")}
 
 
 _PAN = ("pan_transient", "move_gain", "move_delay")
@@ -99,22 +99,22 @@ _PAN = ("pan_transient", "move_gain", "move_delay")
 NEARLY = {
     shape.name: shape
     for shape in (
-        Shape("soft_backlash", "a gap of pan that closes by and by",
-              "rad", 5e-4, (*_PAN, "pan_angle"), _soft_play, "backlash"),
-        Shape("slow_thermal", "a bias that follows the board through two lags",
-              "rad/s/K", 1e-3, ("bias_time",), _slow_thermal, "thermal_bias", needs_soak=True),
-        Shape("double_warm_up", "a bias that settles with two time constants",
-              "rad/s", 5e-3, ("bias_time",), _double_warm_up, "warm_up"),
-        Shape("rich_eccentricity", "one and three waves a turn of pan",
-              "rad", 5e-4, ("pan_angle",), _rich_eccentricity, "eccentricity"),
-        Shape("rich_worm", "one and two waves a turn of pan's worm",
-              "rad", 1e-4, ("pan_angle",), _rich_worm, "worm_error"),
+        Shape("soft_backlash", "a gap of pan that closes gradually",
+              "rad", 5e-4, (*_PAN, "pan_angle"), _add_soft_play, "backlash"),
+        Shape("slow_thermal", "a bias that follows the temperature of the board through two lags",
+              "rad/s/K", 1e-3, ("bias_time",), _add_slow_thermal, "thermal_bias", needs_soak=True),
+        Shape("double_warm_up", "a bias that converges with two time constants",
+              "rad/s", 5e-3, ("bias_time",), _add_double_warm_up, "warm_up"),
+        Shape("rich_eccentricity", "one and three waves per turn of pan",
+              "rad", 5e-4, ("pan_angle",), _add_rich_eccentricity, "eccentricity"),
+        Shape("rich_worm", "one and two waves per turn of the worm of pan",
+              "rad", 1e-4, ("pan_angle",), _add_rich_worm, "worm_error"),
         Shape("two_modes", "two modes of pan ring after every change of speed",
-              "1", 2e-2, _PAN, _two_modes, "ringing"),
-        Shape("soft_dead_zone", "small rates are felt too little",
+              "1", 2e-2, _PAN, _add_two_modes, "ringing"),
+        Shape("soft_dead_zone", "the sensor measures small rates too small",
               "rad/s", 1e-2, ("own_rate", "speed", "pan_transient", "tilt_transient"),
-              _soft_zone, "dead_zone"),
+              _add_soft_zone, "dead_zone"),
         Shape("smooth_asymmetry", "another scale in the other direction, but not near rest",
-              "1", 2e-3, ("own_rate", "speed"), _smooth_asymmetry, "scale_asymmetry"),
+              "1", 2e-3, ("own_rate", "speed"), _add_smooth_asymmetry, "scale_asymmetry"),
     )
 }  # fmt: skip

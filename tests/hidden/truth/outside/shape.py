@@ -1,4 +1,4 @@
-"""What an effect outside the catalogue is: how it hangs on a rig, and what it must show as."""
+"""Description of an effect outside the catalogue: how to add it, and its right covariates."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -12,7 +12,7 @@ from gyrorig_daemon.emulator.physics.effects.rig_hooks import RigHooks
 
 @dataclass(frozen=True, slots=True)
 class Site:
-    """Where an effect is put; every time the same, as its generator begins anew."""
+    """The rig and the draws of an effect; its generator starts with the same seed each time."""
 
     size: float
     rng: np.random.Generator
@@ -21,29 +21,29 @@ class Site:
 
     @property
     def board(self) -> str:
-        """The board that it is on."""
+        """The board with the effect."""
         return self.rig.boards[0].name
 
-    def direction(self) -> np.ndarray:
+    def draw_direction(self) -> np.ndarray:
         """Return a random direction, at most 1 on each axis, (3,)."""
         drawn = self.rng.standard_normal(3)
         return np.asarray(drawn / np.abs(drawn).max())
 
 
-Hanger = Callable[[Site], dict[str, Quantity]]
+ShapeAdder = Callable[[Site], dict[str, Quantity]]
 
 
 @dataclass(frozen=True, slots=True)
 class Shape:
-    """An effect that no cause of the catalogue is."""
+    """An effect outside the catalogue."""
 
     name: str
-    says: str  # what it is physically
+    description: str  # of the physics
     unit: str  # of the size
-    start: float  # a size to begin with
-    groups: tuple[str, ...]  # what a finder's nameless tests may call it, first
-    hang: Hanger
-    near: str | None = None  # the cause of the catalogue that it is a variety of
-    most: float = 1e3  # larger ones are no such thing any more
+    start: float  # first size of the search
+    groups: tuple[str, ...]  # covariates, one of which the solver must report first
+    add: ShapeAdder
+    near: str | None = None  # the similar cause of the catalogue
+    most: float = 1e3  # largest size that still is this effect
     needs_soak: bool = False
-    needs_tilted_pan: bool = False  # shows only where pan turns, or points, away from tilt 0
+    needs_tilted_pan: bool = False  # visible only in programs that pan while tilted

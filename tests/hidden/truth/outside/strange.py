@@ -1,7 +1,7 @@
-"""Physics that is in no catalogue. A finder has to say: unexplained, depends on X.
+"""Effects outside the catalogue. The solver must report: unexplained, depends on X.
 
-`groups` are the words of the finder's nameless tests, of which one has to come out first:
-what the effect physically depends on.
+`groups` are the covariates that the effect physically depends on. The solver must report one of
+them first.
 """
 
 import numpy as np
@@ -22,23 +22,23 @@ from gyrorig_daemon.emulator.injection import Quantity
 _DEG = np.pi / 180.0
 
 
-def _vector(values: np.ndarray, unit: str) -> Quantity:
+def _make_vector(values: np.ndarray, unit: str) -> Quantity:
     return Quantity(tuple(values.tolist()), unit)
 
 
-def _settling(site: Site) -> dict[str, Quantity]:
+def _add_settling(site: Site) -> dict[str, Quantity]:
     constant_s = float(site.rng.uniform(0.15, 0.5))
     site.hooks.board(site.board).rate_effects.append(Settling(site.size, constant_s))
     return {"share": Quantity(site.size, "1"), "time_constant": Quantity(constant_s, "s")}
 
 
-def _magnet(site: Site) -> dict[str, Quantity]:
-    bias, phase = site.size * site.direction(), float(site.rng.uniform(-np.pi, np.pi))
+def _add_magnet(site: Site) -> dict[str, Quantity]:
+    bias, phase = site.size * site.draw_direction(), float(site.rng.uniform(-np.pi, np.pi))
     site.hooks.board(site.board).rate_effects.append(Magnet(bias, phase))
-    return {"bias": _vector(bias, "rad/s"), "phase": Quantity(phase, "rad")}
+    return {"bias": _make_vector(bias, "rad/s"), "phase": Quantity(phase, "rad")}
 
 
-def _bearing(site: Site) -> dict[str, Quantity]:
+def _add_bearing(site: Site) -> dict[str, Quantity]:
     phase = float(site.rng.uniform(-np.pi, np.pi))
     period_s = float(site.rng.uniform(15.0, 30.0))
     site.hooks.pan.angle_effects.append(WornBearing(site.size, 3.0, phase, 0.2, period_s))
@@ -46,24 +46,24 @@ def _bearing(site: Site) -> dict[str, Quantity]:
             "modulation_period": Quantity(period_s, "s")}  # fmt: skip
 
 
-def _dip(site: Site) -> dict[str, Quantity]:
+def _add_dip(site: Site) -> dict[str, Quantity]:
     at, width = float(site.rng.uniform(-45.0, 30.0)) * _DEG, float(site.rng.uniform(5, 12)) * _DEG
     site.hooks.board(site.board).rate_effects.append(GainDip(site.size, at, width))
     return {"depth": Quantity(site.size, "1"), "at": Quantity(at, "rad"),
             "width": Quantity(width, "rad")}  # fmt: skip
 
 
-def _creep(site: Site) -> dict[str, Quantity]:
+def _add_creep(site: Site) -> dict[str, Quantity]:
     site.hooks.pan.angle_effects.append(Creep(site.size, 2.0))
     return {"share": Quantity(site.size, "1"), "time_constant": Quantity(2.0, "s")}
 
 
-def _delay(site: Site) -> dict[str, Quantity]:
+def _add_delay(site: Site) -> dict[str, Quantity]:
     site.hooks.board(site.board).rate_effects.append(RateDelay(site.size))
     return {"delay_per_rate": Quantity(site.size, "s^2")}
 
 
-def _stick(site: Site) -> dict[str, Quantity]:
+def _add_stick(site: Site) -> dict[str, Quantity]:
     below = float(site.rng.uniform(15.0, 30.0)) * _DEG
     pitch = float(site.rng.uniform(0.5, 1.5)) * _DEG
     site.hooks.pan.angle_effects.append(StickSlip(site.size, pitch, below))
@@ -71,25 +71,25 @@ def _stick(site: Site) -> dict[str, Quantity]:
             "below": Quantity(below, "rad/s")}  # fmt: skip
 
 
-def _cable(site: Site) -> dict[str, Quantity]:
-    bias = site.size * site.direction()
+def _add_cable(site: Site) -> dict[str, Quantity]:
+    bias = site.size * site.draw_direction()
     site.hooks.board(site.board).rate_effects.append(TwistedCable(bias))
-    return {"bias": _vector(bias, "rad/s")}
+    return {"bias": _make_vector(bias, "rad/s")}
 
 
-def _telegraph(site: Site) -> dict[str, Quantity]:
+def _add_telegraph(site: Site) -> dict[str, Quantity]:
     begin_s, end_s = site.rig.session_s
     waits = site.rng.exponential((end_s - begin_s) / 8.0, 200)
-    bias = site.size * site.direction()
+    bias = site.size * site.draw_direction()
     site.hooks.board(site.board).bias_effects.append(Telegraph(bias, np.cumsum(waits)))
-    return {"half_jump": _vector(bias, "rad/s"),
+    return {"half_jump": _make_vector(bias, "rad/s"),
             "mean_dwell": Quantity((end_s - begin_s) / 8.0, "s")}  # fmt: skip
 
 
-def _product(site: Site) -> dict[str, Quantity]:
-    coefficient = site.size * site.direction()
+def _add_product(site: Site) -> dict[str, Quantity]:
+    coefficient = site.size * site.draw_direction()
     site.hooks.board(site.board).rate_effects.append(CrossProduct(coefficient))
-    return {"coefficient": _vector(coefficient, "s/rad")}
+    return {"coefficient": _make_vector(coefficient, "s/rad")}
 
 
 _MOVES = ("pan_transient", "tilt_transient", "move_gain")
@@ -97,27 +97,27 @@ _MOVES = ("pan_transient", "tilt_transient", "move_gain")
 OUTSIDE = {
     shape.name: shape
     for shape in (
-        Shape("settling_gain", "the gain is off for a while after a move begins",
-              "1", 1e-3, _MOVES, _settling),
-        Shape("magnet", "a bias that follows where the stage points",
-              "rad/s", 1e-3, ("bias_pan",), _magnet),
-        Shape("worn_bearing", "three waves a turn of pan, of an amplitude that swings by 20 %",
-              "rad", 1e-4, ("pan_angle",), _bearing),
+        Shape("settling_gain", "the gain is wrong for a short time after a move begins",
+              "1", 1e-3, _MOVES, _add_settling),
+        Shape("magnet", "a bias that depends on the pan angle",
+              "rad/s", 1e-3, ("bias_pan",), _add_magnet),
+        Shape("worn_bearing", "three waves per turn of pan, with an amplitude that varies by 20 %",
+              "rad", 1e-4, ("pan_angle",), _add_bearing),
         Shape("gain_dip", "the gain drops near one tilt",
-              "1", 1e-2, ("tilt_angle",), _dip, needs_tilted_pan=True),
-        Shape("creep", "a part of each way of pan is gone late, within 2 s",
-              "1", 1e-3, ("pan_transient", "move_gain", "bias_time"), _creep),
-        Shape("rate_delay", "the sensor is the later the faster it turns",
-              "s^2", 1e-4, ("pan_transient", "tilt_transient", "move_delay", "speed"), _delay),
-        Shape("stick_slip", "pan sticks and jumps where it is slow",
-              "rad", 1e-3, ("pan_transient", "speed", "moving"), _stick),
-        Shape("twisted_cable", "a bias where the stage is both turned and tilted",
-              "rad/s", 1e-3, ("bias_pan", "bias_tilt"), _cable,
+              "1", 1e-2, ("tilt_angle",), _add_dip, needs_tilted_pan=True),
+        Shape("creep", "pan moves a part of each distance late, within 2 s",
+              "1", 1e-3, ("pan_transient", "move_gain", "bias_time"), _add_creep),
+        Shape("rate_delay", "the delay of the sensor grows with the rate",
+              "s^2", 1e-4, ("pan_transient", "tilt_transient", "move_delay", "speed"), _add_delay),
+        Shape("stick_slip", "pan sticks and jumps at low speed",
+              "rad", 1e-3, ("pan_transient", "speed", "moving"), _add_stick),
+        Shape("twisted_cable", "a bias if the stage is turned and tilted",
+              "rad/s", 1e-3, ("bias_pan", "bias_tilt"), _add_cable,
               needs_tilted_pan=True),
         Shape("telegraph", "a bias that jumps between two values",
-              "rad/s", 1e-3, ("bias_time",), _telegraph),
-        Shape("cross_product", "each axis feels the product of the two others",
-              "s/rad", 1e-3, ("tilt_angle", "speed", "own_rate"), _product,
+              "rad/s", 1e-3, ("bias_time",), _add_telegraph),
+        Shape("cross_product", "each axis measures a part of the product of the two others",
+              "s/rad", 1e-3, ("tilt_angle", "speed", "own_rate"), _add_product,
               needs_tilted_pan=True),
     )
 }  # fmt: skip
