@@ -1,9 +1,9 @@
 """Measured columns that stay counts until physical values are requested.
 
-What to use when: `CountColumn` for counts with their scale; `PhysicalField` to let a frozen
-dataclass take either values or a `CountColumn` for a field, and give values.
+What to use when: `CountColumn` for counts with their scale; `PhysicalField` for a field of a frozen
+dataclass that accepts values or a `CountColumn`, and returns values.
 
-Why: 8 h at 800 Hz are 138 MB of 16-bit rates, and 553 MB of rad/s.
+The reason is memory: 8 h at 800 Hz are 138 MB of 16-bit rates, and 553 MB of rad/s.
 """
 
 from collections.abc import Callable
@@ -68,7 +68,7 @@ class PhysicalField(Generic[T]):
         self._name = name
 
     def __set__(self, owner: object, value: T | CountColumn) -> None:
-        """Store values or a column; a frozen dataclass does so once."""
+        """Store values or a column; a frozen dataclass does this once."""
         owner.__dict__[self._name] = value
 
     @overload
@@ -80,7 +80,7 @@ class PhysicalField(Generic[T]):
     def __get__(self, owner: object | None, kind: type) -> "PhysicalField[T] | T":
         """Return physical values."""
         if owner is None:
-            raise AttributeError(self._name)  # tells dataclass that the field has no default
+            raise AttributeError(self._name)  # shows dataclass that the field has no default
         stored = owner.__dict__[self._name]
         if not isinstance(stored, CountColumn):
             return cast(T, stored)
@@ -94,6 +94,6 @@ class PhysicalField(Generic[T]):
 
 
 def stored_column(owner: object, name: str) -> CountColumn | None:
-    """Return a `PhysicalField` field as a column, None where it was given as None."""
+    """Return a `PhysicalField` field as a column, None if it was given as None."""
     stored = owner.__dict__[name]
     return stored if stored is None or isinstance(stored, CountColumn) else CountColumn(stored)

@@ -1,4 +1,4 @@
-"""Numbers in the metadata of a recording, which are texts of anyone."""
+"""Numbers in the metadata of a recording; the metadata are untrusted texts."""
 
 import math
 import re
@@ -45,6 +45,6 @@ def positive_number(metadata: Mapping[str, str], key: str) -> float | None:
 
 
 def decimal_number(text: str) -> float | None:
-    """Return the finite number that a text is, None if it is none."""
+    """Return the finite number of a text, None if it is not one."""
     value = float(text) if _DECIMAL_NUMBER.fullmatch(text) else math.nan
     return value if math.isfinite(value) else None

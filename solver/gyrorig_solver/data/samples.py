@@ -57,7 +57,7 @@ class GyroSamples:
     segment: IntArray  # (n,), counts restarts of the board and clock steps
     # (n, 3), counts times nominal scale, sensor frame
     rate_rad_s: PhysicalField[FloatArray] = PhysicalField()  # noqa: RUF009
-    usable: BoolArray  # (n,), False where saturated or repeated
+    usable: BoolArray  # (n,), False if saturated or repeated
     accel_m_s2: PhysicalField[FloatArray | None] = PhysicalField()  # noqa: RUF009 - (n, 3)
     # (n,), nan if a sample has none
     temperature_degc: PhysicalField[FloatArray | None] = PhysicalField()  # noqa: RUF009

@@ -3,8 +3,8 @@
     f(T) - f(T0) = sum_p c_p (T - T0)^p + sum_j d_j (h_j(T) - h_j(T0)),  h_j(T) = max(T - k_j, 0)^3
 
 T0 is the reference temperature, and the k_j are the knots of the spline; a polynomial has none. The
-value f(T0) is not part of the curve. It needs NumPy alone, because code that applies a calibration
-uses it.
+value f(T0) is not part of the curve. The module needs only NumPy, because code that applies a
+calibration uses it.
 """
 
 from dataclasses import dataclass
@@ -15,7 +15,7 @@ import numpy as np
 from gyrorig_solver.data.arrays import BoolArray, FloatArray
 
 CUBIC = 3
-CUBIC_FIT_POINTS = 201  # at which a spline is compared with a cubic
+CUBIC_FIT_POINTS = 201  # points at which a spline is compared with a cubic
 RANGE_TOLERANCE_K = 0.5  # half a step of a coarse thermometer
 
 
@@ -81,7 +81,7 @@ class TemperatureCurve:
         degc = np.linspace(*self.range_degc, CUBIC_FIT_POINTS)
         change = self.change(degc)
         scale = max(np.ptp(degc), 1e-9)
-        # Chebyshev nodes' weights keep the error at the ends of the range small.
+        # The weights of Chebyshev nodes keep the error at the ends of the range small.
         x = (2.0 * degc - self.range_degc[0] - self.range_degc[1]) / scale
         weight = 1.0 / np.sqrt(np.maximum(1.0 - x**2, 1e-3))
         rise = (degc - self.reference_degc) / scale

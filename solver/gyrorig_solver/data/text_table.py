@@ -1,4 +1,4 @@
-"""Text tables: a check of a file before it is read as one, and aligned columns to print."""
+"""Text tables: a check of a file before it is read as a table, and aligned columns to print."""
 
 from collections.abc import Collection, Sequence
 from pathlib import Path
@@ -15,7 +15,7 @@ _POSSIBLE_TABLES = frozenset({CSV_TABLE, EMPTY_FILE, "a text file", "a document 
 
 
 def check_text_table(path: Path) -> None:
-    """Check the first bytes of a file, to name the kind of a file given by mistake.
+    """Check the first bytes of a file, and name the kind of a file that was given by mistake.
 
     Raises:
         InputError: the file is of another kind, such as a recording or a calibration.

@@ -9,8 +9,9 @@ What to use when:
   one recording; `parameter_layout` for the order of their parameters.
 - `fitted_term` and `cascade` for causes in a fit.
 - `nuisance_projector` for score tests at a fit.
-- `observability` for what the data determine; `gyro_fit` for the result of every method.
-- `temperature` for the bias against the temperature.
+- `observability` for the directions that the data determine; `gyro_fit` for the result of every
+  method.
+- `temperature` for the bias over temperature.
 - `noise` for the noise model and outliers, `linear` for the normal equations, `paper` for the
   method of the paper.
 """

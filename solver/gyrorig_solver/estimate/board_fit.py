@@ -28,7 +28,7 @@ from gyrorig_solver.estimate.session_noise import fit_session_noise
 
 OUTLIER_RETEST_SIGMA = 5.0  # a larger step repeats the outlier detection
 DERIVATIVE_REFRESH_SIGMA = 50.0  # a larger step repeats the derivatives
-NONLINEAR_REFRESH_SIGMA = 3.0  # the same with causes
+NONLINEAR_REFRESH_SIGMA = 3.0  # the same limit if there are causes
 MAX_LAG_STEP_S = 0.05
 
 
@@ -75,7 +75,7 @@ class BoardFit:
         fitted_terms: Sequence[FittedTerm],
         keep_rejected: bool = False,
     ) -> Self:
-        """Start at the end of another fit of the same recordings, which is not changed.
+        """Start at the end of another fit of the same recordings; that fit is not changed.
 
         `keep_rejected`: outliers of that fit stay outliers.
         """
@@ -108,7 +108,7 @@ class BoardFit:
     def try_step(
         self, step: FloatArray, nuisance_steps: Sequence[FloatArray], size_sigma: float
     ) -> float:
-        """Predict all recordings after a step; return the decrease by their residuals, nats.
+        """Predict all recordings after a step; return the decrease from their residuals, nats.
 
         Args:
             step: of the board's parameters, in the order of `layout`.
@@ -145,7 +145,7 @@ class BoardFit:
     def accept(self, new_derivatives: bool) -> None:
         """Continue from the values that were tried last.
 
-        `new_derivatives`: compute them again; after a large step they always are.
+        `new_derivatives`: compute them again; a large step always does this.
         """
         if self._trial is None:
             raise ValueError("no step was tried")
@@ -153,8 +153,8 @@ class BoardFit:
         self.gain = trial.gain
         self.fitted_terms = trial.fitted_terms
         self.sessions = trial.sessions
-        # Before convergence good samples can look like outliers. Causes are rarely linear:
-        # a rounded corner grows as the square of its length.
+        # Before convergence, good samples can look like outliers. Causes are rarely linear: the
+        # effect of a rounded corner grows as the square of its length.
         refresh_limit = (
             NONLINEAR_REFRESH_SIGMA if self.layout.term_index().size else DERIVATIVE_REFRESH_SIGMA
         )

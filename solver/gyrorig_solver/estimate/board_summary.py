@@ -84,7 +84,7 @@ def summarize_board(
 
 
 def _last_with_offset(analyses: Sequence[ObservabilityAnalysis]) -> int:
-    """Return the last recording that shows the time offset; one at rest shows the bias only."""
+    """Return the last recording that shows the time offset; a rest shows only the bias."""
     observable = [k for k, analysis in enumerate(analyses) if analysis.is_observable(TIME_OFFSET)]
     return observable[-1] if observable else len(analyses) - 1
 

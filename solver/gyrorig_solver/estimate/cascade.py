@@ -1,13 +1,13 @@
-"""The effects of several causes in series: each acts on the signal that earlier ones have changed.
+"""Effects of several causes in series: each acts on the signal that earlier ones have changed.
 
 The order is `model.term.SIGNAL_PATH`, from the motor command over gear, stage, mount, sensor and
-low-pass to the timestamp. Backlash swallows the motion that rounded ramps have, not the commanded
-one, and a late clock delays the pulse of the backlash. Effects computed one by one on states that
-earlier causes have changed add up to the exact total change.
+low-pass to the timestamp. Backlash acts on the motion with rounded ramps, not on the commanded
+motion, and a late clock delays the pulse of the backlash. Each effect is computed on a state that
+earlier causes have changed. These effects add up to the exact total change.
 
 What to use when: `total_effect` and `fitted_derivatives` in a fit, `effects_in_order` for the share
-of each cause, `effect_of_removing` for the signal that would be missing without some of them;
-`TermCascade` for a candidate in addition to the causes of a fit.
+of each cause, `effect_of_removing` for the signal that some of them contribute; `TermCascade` for a
+candidate in addition to the causes of a fit.
 """
 
 from collections.abc import Iterator, Sequence
@@ -41,8 +41,8 @@ def effects_in_order(fitted_terms: Sequence[FittedTerm], state: SignalState) -> 
     """Return the share of each cause in the total effect, (blocks, 3) each, in the given order.
 
     The shares add up to the total effect. Causes that only filter or delay come first, because they
-    act on the effects of all others, some of which are computed behind the filter and cannot be
-    filtered again.
+    act on the effects of all others. Some of these effects are computed after the filter and cannot
+    be filtered again.
     """
     effects = {
         id(fitted_term): fitted_term.term.effect(input_state, fitted_term.values)
@@ -103,8 +103,8 @@ def effect_of_removing(
     """Return the effect that is lost if some causes are removed, (blocks, 3).
 
     Args:
-        removed: which of them.
-        fitted_terms: all of them.
+        removed: the causes to remove.
+        fitted_terms: all causes.
         state: the signal without any cause.
     """
     active = _filters_first(
@@ -114,7 +114,8 @@ def effect_of_removing(
     if all(is_kept):
         return zero_signals(state.block_count)
     first = is_kept.index(False)
-    for fitted_term in active[:first]:  # these have the same effect with and without
+    # these have the same effect with and without the removed causes
+    for fitted_term in active[:first]:
         state = fitted_term.term.propagate(state, fitted_term.values)
     remaining = [fitted_term for fitted_term, stay in zip(active, is_kept, strict=True) if stay][
         first:
@@ -125,9 +126,10 @@ def effect_of_removing(
 def fitted_derivatives(fitted_terms: Sequence[FittedTerm], state: SignalState) -> FloatArray:
     """Return the derivatives by all fitted values, (k, blocks, 3).
 
-    To first order: the change of the effects of later causes is neglected, except for causes that
-    filter, delay or clip, and for a gap: when it is crossed, the stage starts at once, and what its
-    acceleration excites depends on the time.
+    The derivatives are of first order: they neglect the change of the effects of later causes, with
+    two exceptions. The first are causes that filter, delay or clip. The second is a gap: when the
+    motor has crossed it, the stage starts immediately, and the effects of its acceleration depend
+    on the time.
     """
     cascade = TermCascade(fitted_terms, state)
     derivatives = []
@@ -146,19 +148,19 @@ def fitted_derivatives(fitted_terms: Sequence[FittedTerm], state: SignalState) -
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PassThrough:
-    """The share of a small change that clipping causes let pass (incremental gain).
+    """The share of a small change that passes the clipping causes (incremental gain).
 
-    A rate below a threshold or beyond a limit does not reach the output, nor does a small change of
-    it. Without this a fit would treat it as measured.
+    A rate below a threshold or beyond a limit does not reach the output, and a small change of it
+    does not either. Without this share, a fit would treat the rate as measured.
     """
 
     before_threshold: FloatArray  # (blocks, 3), for changes before the threshold
-    after_threshold: FloatArray  # (blocks, 3), for changes behind the threshold
+    after_threshold: FloatArray  # (blocks, 3), for changes after the threshold
     # (3, 3, blocks), derivative of the causes' effect by a row of G: axis, entry.
     gain_derivative: FloatArray
 
     def at_stage(self, stage: Stage) -> FloatArray | None:
-        """Return the share that passes for a cause at a stage, (blocks, 3); None is all."""
+        """Return the share that passes for a cause at a stage, (blocks, 3); None: everything."""
         position = SIGNAL_PATH.index(stage)
         if position < SIGNAL_PATH.index("threshold"):
             return self.before_threshold
@@ -249,7 +251,7 @@ class TermCascade:
     def joint_effect(self, term: Term, values: FloatArray) -> FloatArray:
         """Return the change of the joint effect of all causes by a term, (blocks, 3).
 
-        The effect on later causes counts if it is more than the product of two small effects.
+        Effects on later causes count if they are larger than a product of two small effects.
         """
         state = self.state_before(term)
         total = term.effect(state, values)
@@ -308,7 +310,7 @@ class TermCascade:
     def later_derivatives(self, fitted_term: FittedTerm) -> FloatArray:
         """Return the derivatives of the effects that later causes of the stage have on angles.
 
-        By central differences with the steps of the cause, (free, blocks, 3).
+        They are central differences with the steps of the cause, (free, blocks, 3).
         """
         derivatives = zero_signals(fitted_term.free_indices.size, self.state.block_count)
         later_terms = [
@@ -341,7 +343,7 @@ class TermCascade:
                     yield fitted_term, state
 
     def _off_grid_effect(self, filter_term: Term, values: FloatArray | None) -> FloatArray:
-        """Return all off-grid effects behind a filter or delay; None: without it."""
+        """Return all off-grid effects after a filter or delay; `values` None: without it."""
         total = zero_signals(self.state.block_count)
         for fitted_term, state in self._off_grid_terms(filter_term):
             filtered_state = state if values is None else filter_term.propagate(state, values)

@@ -1,7 +1,7 @@
 """Products of whitened signals with a fit's derivatives, channel by channel.
 
-Derivatives by local unknowns are zero outside a short interval. Each channel is cut into pieces.
-In a piece only a few local unknowns act, so that all products are those of small dense matrices,
+Derivatives by local unknowns are zero outside a short interval. Each channel is cut into pieces. In
+a piece, only a few local unknowns act, so that all products are products of small dense matrices,
 and one pass over the signals gives all of them.
 
 What to use when: `ChannelDerivatives.split` once per fit, `multiply` for signals.
@@ -25,7 +25,7 @@ class SignalProducts:
 
     gram: FloatArray  # (k, k), with each other
     shared: FloatArray  # (q, k), with the derivatives by the shared unknowns
-    local: FloatArray  # (m, k), with those by the local unknowns
+    local: FloatArray  # (m, k), with the derivatives by the local unknowns
     residual: FloatArray  # (k,), with the residual
 
 
@@ -55,7 +55,7 @@ class ChannelDerivatives:
 
     shared_count: int
     local_count: int
-    channels: tuple[tuple[IntArray, tuple[_Piece, ...]], ...]  # shared unknowns that act, pieces
+    channels: tuple[tuple[IntArray, tuple[_Piece, ...]], ...]  # active shared unknowns, pieces
 
     @classmethod
     def split(

@@ -26,12 +26,13 @@ class ConvergedFit:
     prior_std: FloatArray  # (p,), prior standard deviation of each
     estimate: FloatArray  # (p,); bias: last recording. Time offset (whole lag): last
     # recording in which it is observable
-    observability: ObservabilityAnalysis  # everything else marginalised, the common shift included
+    # all other unknowns marginalised, including the common shift
+    observability: ObservabilityAnalysis
     sessions: tuple[SessionFit, ...]
     fitted_terms: tuple[FittedTerm, ...]
     session_observability: tuple[
         ObservabilityAnalysis, ...
-    ]  # the same with each recording's b and tau
+    ]  # the same with the b and tau of each recording
     noises: tuple[NoiseModel, ...]  # of each recording
     spectra: tuple[Spectrum, ...]
     noise_sources: tuple[str, ...]  # the part of each recording used for the noise
@@ -40,7 +41,7 @@ class ConvergedFit:
 
     @property
     def converged(self) -> bool:
-        """Whether further iterations change nothing."""
+        """Whether further iterations would not change the result."""
         return self.convergence.converged
 
     @property
@@ -49,7 +50,7 @@ class ConvergedFit:
         return self.estimate[:GAIN_PARAMETERS].reshape(3, 3)
 
     def release_caches(self) -> None:
-        """Free what is computed again when it is needed."""
+        """Free the data that can be computed again."""
         for session in self.sessions:
             session.release_caches()
 

@@ -1,7 +1,7 @@
 """A fit's result with corrected parameters.
 
-What to use when: `correct_fit` where the unit is known from earlier recordings. Residuals, noise
-and diagnostics stay those of the fit.
+What to use when: `correct_fit` if there is a posterior of the unit from earlier recordings.
+Residuals, noise and diagnostics stay those of the fit.
 """
 
 from dataclasses import dataclass, replace
@@ -26,12 +26,12 @@ class FitCorrection:
 def correct_fit(
     fit: GyroFit, solution: ConvergedFit, corrections: tuple[FitCorrection, ...]
 ) -> GyroFit:
-    """Return a fit with corrected parameters; what was null stays null.
+    """Return a fit with corrected parameters; parameters that were null stay null.
 
     Args:
         fit: the summary of the solution.
         solution: the converged fit.
-        corrections: of each recording; the last one is that of the stated values.
+        corrections: of each recording; the last one belongs to the stated values.
     """
     last = corrections[-1]
     derived = derive_parameters(

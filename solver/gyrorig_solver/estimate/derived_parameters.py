@@ -1,6 +1,6 @@
 """The parameters of the document, derived from an estimate of gain, bias and time offset.
 
-A number that the data do not determine is null, and a reason states which motion would show it.
+A number that the data do not determine is null, and a reason states a motion that determines it.
 """
 
 from collections.abc import Mapping
@@ -47,16 +47,17 @@ def derive_parameters(
     """Convert an estimate of (gain, bias, offset) to the parameters of the document.
 
     A derived number is unobservable if the prior, through the unobservable directions, changes it
-    by more than the data's uncertainty: it would be the prior's number. The factors depend on the
-    gain nonlinearly, and the prior is propagated through them as they are (`factor_covariance`).
+    by more than the data's uncertainty. In this case, the prior would determine the number. The
+    factors depend on the gain nonlinearly, and the prior is propagated through the exact
+    factorisation (`factor_covariance`).
 
     Args:
         estimate: values of `names`, shape (n,); unobservable directions at their prior mean.
         names: `GAIN_NAMES`, then any of `BIAS_NAMES`, then optionally `time_offset`, then
             optionally values of causes beyond the base model.
         analysis: of the same names.
-        reason_texts: for each gain column `x`, `y`, `z` and for `bias` and `time_offset`, why the
-            data could not show it and what would.
+        reason_texts: for each gain column `x`, `y`, `z` and for `bias` and `time_offset`, a reason
+            why the data could not show it, and a remedy.
         unit_std: prior standard deviation of each name; required if there are causes.
     """
     unit_std = prior_std(names) if unit_std is None else unit_std
@@ -116,7 +117,7 @@ def derive_parameters(
 def _unobservable_directions(
     unobservable: FloatArray, unit_std: FloatArray, base_positions: list[int]
 ) -> int:
-    """Return the number of directions of gain and bias that the data do not show."""
+    """Return the number of directions of gain and bias that the data do not determine."""
     inner = (unobservable / np.outer(unit_std, unit_std))[np.ix_(base_positions, base_positions)]
     return int(np.sum(np.linalg.eigvalsh(inner) > 0.5))
 
@@ -135,7 +136,7 @@ def _reason_texts(
     """Return one reason per unobservable group; `unobservable` in units of the prior."""
     column_share = np.diag(unobservable)[:9].reshape(3, 3).max(axis=0)
     # A column belongs to an unobservable direction if a tenth of its prior remains. A direction
-    # that is spread over many parameters belongs to the column with most of it.
+    # that contains many parameters belongs to the column with the largest share of it.
     least_share = 0.1
     if any(n in FACTOR_NAMES for n in unobserved_names):
         least_share = min(least_share, 0.999 * float(column_share.max()))

@@ -1,12 +1,12 @@
 """The motion law of a model, and the position replies under it.
 
-Some causes change the law by which the unit moves: its acceleration, its base speed, its rounded
+Some causes change the motion law of the unit: its acceleration, its base speed, its rounded
 corners. The replies follow the executed motion, so the likelihood of a model contains the replies
-under the law of that model. Then they have information about the values of these causes.
+under the law of that model. Therefore they have information about the values of these causes.
 
 What to use when: `follow_law` after the causes of a fit have changed; `law_columns` and
 `follow_replies` for the parameters that the replies determine; `executed_motion` for derivatives;
-`reference_cost` and `reference_decrease` for the part of the objective.
+`reference_cost` and `reference_decrease` for the reference's part of the objective.
 """
 
 from collections.abc import Sequence
@@ -37,7 +37,7 @@ class LawColumns:
     law_values: IntArray  # (k,), in the order of `MotionLaw.of_values`
 
     def profile(self, reference: ReferenceMotion) -> LawProfile | None:
-        """Return what the replies say about these values; None without values or replies."""
+        """Return the information of the replies on these values; None without values or replies."""
         if not self.parameters.size or not isinstance(reference, PanTiltReference):
             return None
         return reference.law_profile(self.law_values)
@@ -76,7 +76,7 @@ def follow_law(reference: ReferenceMotion, fitted_terms: Sequence[FittedTerm]) -
         first = _first_law_value(fitted_term) or 0
         values[first : first + 2] += fitted_term.values
         is_fitted[first + fitted_term.free_indices] = True
-    # The acceleration is one unknown: that of the cause replaces that of the moves.
+    # The acceleration is one unknown: the value of the cause replaces that of the moves.
     pan, tilt = (is_fitted[:2] | (values[:2] != 0.0)).tolist()
     law = MotionLaw.of_values(values, (pan, tilt), reference.rad_per_step)
     return reference.with_law(law)
@@ -90,8 +90,8 @@ def executed_motion(reference: ReferenceMotion) -> ReferenceMotion:
 def reference_cost(reference: ReferenceMotion) -> float:
     """Return the negative logarithm of the prior of the reference's unknowns, nats.
 
-    For a unit it is the likelihood of the replies under the law of the model, relative to that
-    under the recorded settings.
+    For a unit it is the likelihood of the replies under the law of the model, relative to the
+    likelihood under the recorded settings.
     """
     if isinstance(reference, PanTiltReference):
         return reference.cost
@@ -122,7 +122,7 @@ def replace_law_derivatives(
         fitted_terms: the causes of the fit.
         law: derivatives of the stage rate, (6, 3, n); empty without a law.
         gain: G, shape (3, 3).
-        pass_through: share of a change that clipping lets pass, (n, 3); None: all.
+        pass_through: share of a change that passes the clipping, (n, 3); None: everything passes.
     """
     columns = law_columns(fitted_terms, 0)
     if not law.size:
@@ -150,7 +150,7 @@ def follow_replies(
     """
     matrix, score = equations.matrix, equations.score
     local, width = matrix.size
-    # The new columns are the old ones times this, a unit matrix with the shift of the moves.
+    # The new columns are the old ones times this unit matrix with the shift of the moves.
     local_shift = profile.shift[:local]
     shared_shift = profile.shift[local : local + width - board_parameters]
     change = np.eye(width)

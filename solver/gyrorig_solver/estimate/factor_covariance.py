@@ -1,14 +1,14 @@
-"""Uncertainty of the factors S, T and M and of the other parameters, from that of the gain.
+"""Uncertainty of the factors S, T and M and of other parameters, from that of the gain.
 
-A direction that the data do not show varies as the prior says: by as much as a board can differ
-from nominal, a tenth. There a derivative is not enough. `scale.x` is the length of row x of G. Its
-derivative by the entry xy vanishes at the nominal gain, but an entry of 0.06 changes it by
-0.06^2/2 = 1.8e-3. So what is uncertain by more than `LINEAR_STD` propagates through the
-factorisation itself, by Gauss-Hermite quadrature with three points in each direction. This is exact
+In a direction that the data do not determine, the prior is used: a board can differ from nominal by
+a tenth. A derivative is not sufficient for such a range. `scale.x` is the length of row x of G. Its
+derivative by the entry xy vanishes at the nominal gain, but an entry of 0.06 changes it by 0.06^2/2
+= 1.8e-3. Therefore directions with a standard deviation above `LINEAR_STD` are propagated through
+the factorisation, by Gauss-Hermite quadrature with three points in each direction. This is exact
 for a quadratic function and its square.
 
 What to use when: `propagate_to_factors` for any covariance of derived numbers;
-`is_observable_number` for the one rule that decides which of them are null.
+`is_observable_number` for the rule that decides which of them are null.
 """
 
 from dataclasses import dataclass
@@ -25,24 +25,24 @@ FACTOR_COUNT = len(FACTOR_NAMES)
 # Gauss-Hermite quadrature, order 3, of a standard normal variable (Abramowitz, Stegun 25.4.46).
 NODES = (-float(np.sqrt(3.0)), 0.0, float(np.sqrt(3.0)))
 WEIGHTS = (1.0 / 6.0, 2.0 / 3.0, 1.0 / 6.0)
-# A direction in which the gain's prior is narrower than this is propagated to first order: what a
-# derivative neglects, 0.005^2/2, is 1.5 % of the variance of the best scale factors (std 1e-4).
+# A direction with a narrower prior of the gain is propagated to first order. The error of the
+# derivative, 0.005^2/2, is 1.5 % of the variance of the best scale factors (std 1e-4).
 LINEAR_STD = 0.005
 NEGLIGIBLE_SHARE = 1e-9  # of a typical value, in its standard deviation
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FactorCovariance:
-    """The nine factors and the numbers beside them, with both parts of their uncertainty.
+    """The nine factors and the other numbers, with both parts of their uncertainty.
 
     Attributes:
         values: of the factors, then of the other numbers, shape (n,). NaN if the gain is singular.
         jacobian: of those numbers by the gain and the other parameters, shape (n, n).
         data: covariance from the data, shape (n, n).
-        prior: second moment of the change of each number, from its stated value, when the
-            parameters vary along the unobservable directions as the prior says; variance and
-            squared mean shift, shape (n, n). Infinite on the diagonal of factors that are not
-            defined everywhere in the prior's range.
+        prior: second moment of the change of each number, from its stated value, if the parameters
+            vary along the unobservable directions with the prior; variance and squared mean shift,
+            shape (n, n). Infinite on the diagonal of factors that are not defined everywhere in the
+            prior's range.
     """
 
     values: FloatArray
@@ -67,7 +67,7 @@ class FactorCovariance:
 def is_observable_number(
     data_variance: FloatArray, prior_variance: FloatArray, typical_std: FloatArray
 ) -> BoolArray:
-    """Return where the prior adds no more than the data's variance."""
+    """Return which numbers get no more variance from the prior than from the data."""
     negligible = (NEGLIGIBLE_SHARE * typical_std) ** 2
     return np.asarray(
         (prior_variance <= np.maximum(data_variance, negligible))
@@ -114,7 +114,7 @@ class _WideDirections:
         std: standard deviation along each, shape (k,).
         nodes: quadrature nodes in standard deviations, shape (m, k).
         weights: of the nodes, shape (m,).
-        change: of the factors at each node, shape (m, 9); NaN where they are not defined.
+        change: of the factors at each node, shape (m, 9); NaN if they are not defined.
     """
 
     factors: GainFactors
@@ -138,7 +138,7 @@ class _WideDirections:
         return cls(factors, vectors, std, nodes, weights, change)
 
     def excess(self, jacobian: FloatArray, covariance: FloatArray) -> FloatArray:
-        """Return what the prior's second moment has beyond its first-order part, shape (n, n).
+        """Return the prior's second moment minus its first-order part, shape (n, n).
 
         Args:
             jacobian: of all numbers at the estimate, shape (n, n).
@@ -161,7 +161,7 @@ class _WideDirections:
     def mixed_moment(self, covariance: FloatArray) -> FloatArray:
         """Return the second moment of products of these directions with the data's errors, (n, n).
 
-        A number can depend on a product of an entry that the data show and one that they do not.
+        A number can depend on the product of an observable and an unobservable entry.
 
         Args:
             covariance: of the gain and the other parameters, from the data, shape (n, n).
@@ -184,7 +184,7 @@ class _WideDirections:
 def _undefined_factors(
     estimate: FloatArray, covariance: FloatArray, unobservable_covariance: FloatArray
 ) -> FactorCovariance:
-    """Return null factors: with nominal values in unobservable places the gain is singular."""
+    """Return null factors: with nominal values in unobservable places, the gain is singular."""
     values, data, prior = estimate.copy(), covariance.copy(), unobservable_covariance.copy()
     jacobian = np.eye(estimate.size)
     values[:FACTOR_COUNT] = jacobian[:FACTOR_COUNT, :FACTOR_COUNT] = np.nan

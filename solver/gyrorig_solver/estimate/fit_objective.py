@@ -1,8 +1,8 @@
 """The objective of a fit: negative log-likelihood of the residual, and the reference's prior.
 
-Only differences are evaluated, at the noise of the normal equations, and over blocks that both
-fits use. Blocks can drop out because a cause makes their timing uncertain. Outliers are decided
-after a step is accepted, so that a step cannot gain by rejecting samples.
+Only differences are evaluated, at the noise of the normal equations, and over blocks that both fits
+use. Blocks can be left out because a cause makes their timing uncertain. Outliers are determined
+after a step is accepted, so that a step cannot decrease the objective by rejecting samples.
 
 What to use when: `residual_decrease` for one recording before and after a step, and
 `executed_motion.reference_decrease` for its reference. Boards on one unit share the reference, so
@@ -65,7 +65,7 @@ def residual_cost(
 ) -> float:
     """Return half the squared norm of a series' whitened residual, in nats.
 
-    The parts of a long series are whitened one by one, and their constants together, as in
+    The parts of a long series are whitened separately, and their constants together, as in
     `linear.normal_equations`.
 
     Args:

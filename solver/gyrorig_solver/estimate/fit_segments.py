@@ -60,7 +60,7 @@ def build_segments(
 
 
 def negative_log_likelihood(solution: ConvergedFit, noises: Sequence[NoiseModel]) -> float:
-    """Return that of a fit for given noise levels, with the motion's prior, up to a constant."""
+    """Return the cost of a fit at given noise levels, with the motion's prior, up to a constant."""
     cost = 0.0
     for segment in build_segments(solution, (), noises):
         for channel in segment.whiten([residual[None] for residual in segment.residuals]):

@@ -1,7 +1,7 @@
 """The summary of an estimate as a `GyroFit`, for every kind of reference.
 
 What to use when: `build_gyro_fit` at the end of `motion_fit`, `attitude_summary`, `turn_fit` and
-`gravity_fit`, each of which adds only its own facts.
+`gravity_fit`, each of which adds only its specific data.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -33,7 +33,7 @@ from gyrorig_solver.model import term_label
 
 BASE_TERMS = ("bias", "scale", "nonorthogonality", "misalignment")
 MAX_REDUCED_CHI2_LIMITED = 1.25
-MAX_USUAL_SKEW_PPM = 500.0  # a crystal has 50, a sensor's oscillator more
+MAX_USUAL_SKEW_PPM = 500.0  # a crystal has 50; a sensor's oscillator has more
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -49,7 +49,7 @@ class FitOutcome:
     rms_before_rad_s: float
     rms_after_rad_s: float
     reference: str
-    reason_texts: Mapping[str, str]  # why a gain column, the bias or the offset can be unobservable
+    reason_texts: Mapping[str, str]  # of a gain column, the bias or the offset, if unobservable
     terms: tuple[str, ...] = BASE_TERMS
     warnings: tuple[str, ...] = ()
     limited_reasons: tuple[str, ...] = ()
@@ -58,7 +58,7 @@ class FitOutcome:
     mean_temperature_degc: float | None = None
     sharing: BoardSharing = NO_SHARING
     gravity_moves: GravityMoves | None = None
-    chi2_limit: float = MAX_REDUCED_CHI2_LIMITED  # above it the noise model is rejected
+    chi2_limit: float = MAX_REDUCED_CHI2_LIMITED  # with a larger value, the noise model is rejected
     noise: NoiseLevels | None = None
     rate_range_rad_s: tuple[float, float] | None = None  # None: of all samples
     clock_truth: str = "the recording's own times"
@@ -214,7 +214,7 @@ def _temperature_range(samples: Sequence[GyroSamples]) -> tuple[float, float] | 
 def _clock_quality(samples: GyroSamples, reference_clock: str) -> ClockQuality:
     keeps_rows = (
         samples.number.size <= MAX_CACHED_ROWS
-    )  # arrival times of a longer recording are read again
+    )  # the arrival times of a longer recording are read again
     return ClockQuality(
         skew_ppm=samples.clock.skew_ppm,
         wander_bound_s=samples.clock.wander_bound_s,
@@ -232,7 +232,7 @@ def _clock_quality(samples: GyroSamples, reference_clock: str) -> ClockQuality:
 
 
 def _skew_text(skew_ppm: float) -> str:
-    """Describe which clock is used, and the effect of the other one on the scale factors."""
+    """Describe which clock is used, and the effect of the other clock on the scale factors."""
     direction = "larger" if skew_ppm > 0.0 else "smaller"
     return (
         "the frequency of the board's clock differs from that of the host's clock by "

@@ -1,8 +1,8 @@
 """Terms of the catalogue with their values in a fit, in addition to gain, bias and time offset.
 
-What to use when: `free_term` for a cause whose sizes are estimated; `fixed_term` for one whose size
-is known beforehand (the Earth's rotation); `GaussianPrior` for one that other boards on the unit
-have measured too. `cascade` combines the effects of several terms.
+What to use when: `free_term` for a cause whose sizes are estimated; `fixed_term` for a cause with a
+known size (the Earth's rotation); `GaussianPrior` for a cause that other boards on the unit have
+measured too. `cascade` combines the effects of several terms.
 """
 
 from dataclasses import dataclass, replace
@@ -36,7 +36,7 @@ class FittedTerm:
 
     term: Term
     values: FloatArray  # (k,), of all its parameters
-    free_indices: IntArray  # which of them are fitted
+    free_indices: IntArray  # indices of the fitted values
     other_boards_prior: GaussianPrior | None = None
 
     @property

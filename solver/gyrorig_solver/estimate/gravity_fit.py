@@ -1,11 +1,11 @@
-"""The fit of gyro gain and bias to gravity between rests: a board turned by hand, without a rig.
+"""Fit of gyro gain and bias to gravity between rests: a board turned by hand, without a rig.
 
-Theory of operation. Over a move, the gyro's integral must carry the direction of gravity from the
-rest before to the rest after: u_1 = R' u_0, R the product of exp(w dt) with w = G^-1 (y - b). Each
-move gives two equations (the rotation about gravity is unobservable), and a dozen moves about
-changing axes give all of G. Rests give the bias: each move uses the mean of its two rests, so that
-slow drift cancels. The result refers to the accelerometer's own frame, made orthogonal: M is gyro
-to accelerometer here, not gyro to stage.
+Theory of operation. Over a move, the gyro's integral must rotate the direction of gravity at the
+previous rest into that at the next rest: u_1 = R' u_0, R the product of exp(w dt) with w = G^-1 (y
+- b). Each move gives two equations (the rotation about gravity is unobservable), and a dozen moves
+about changing axes determine all of G. Rests give the bias: each move uses the mean of its two
+rests, so that slow drift cancels. The result refers to the orthogonalised frame of the
+accelerometer: M is gyro to accelerometer here, not gyro to stage.
 
 Source: Tedaldi et al., ICRA 2014, eq. 13 to 16 (there with the bias of the first rest).
 """
@@ -28,7 +28,7 @@ from gyrorig_solver.reference.gravity_reference import StaticPoses
 MAX_ITERATIONS = 40
 SCALE_RANGE = (0.5, 1.5)  # of the gyro's scale factor, for the initial guess
 CONVERGED_SIGMA = 1e-4
-# Larger residuals have less weight (Huber): a knock, a saturated sample.
+# Larger residuals, from a knock or a saturated sample, have less weight (Huber).
 HUBER_SIGMA = 2.5
 # A smaller rotation has no information and can be a knock at rest.
 MIN_TURN_RAD = 0.05
@@ -87,7 +87,7 @@ def fit_gravity(
     outcome = FitOutcome(
         estimate=np.concatenate([solver.gain.ravel(), rest_bias.mean(axis=0), [0.0]]),
         observability=analyse_observability(information, PARAMETER_NAMES),
-        reduced_chi2=float("nan"),  # the spread of the moves is their noise model
+        reduced_chi2=float("nan"),  # the noise model of the moves comes from their scatter
         outliers=solver.downweighted,
         rms_before_rad_s=solver.rms_rad_s(np.eye(3)),
         rms_after_rad_s=solver.rms_rad_s(solver.gain),
@@ -161,8 +161,8 @@ class _GravitySolver:
     def run(self) -> bool:
         """Iterate to the robust least squares; return whether the iterations converged.
 
-        Levenberg's damping is necessary: with a scale factor wrong by a quarter, a long move
-        carries gravity out of the range of a Newton step.
+        Levenberg's damping is necessary: with a scale factor that is wrong by a quarter, a long
+        move rotates gravity out of the range of a Newton step.
         """
         scales = np.linspace(*SCALE_RANGE, 41)
         costs = [self._cost(scale * np.eye(3)) for scale in scales]
@@ -227,7 +227,7 @@ class _GravitySolver:
     def _update_weights(self, residual: FloatArray) -> None:
         """Estimate the standard deviation of one direction, and each move's Huber weight."""
         length = np.linalg.norm(residual, axis=1)
-        # Two directions of equal standard deviation: the median length is 1.1774 of it.
+        # Both directions have the same standard deviation; the median length is 1.1774 times it.
         robust = float(np.median(length)) / 1.1774
         limit = self._limit_rad = HUBER_SIGMA * robust * float(np.sqrt(2.0))
         self._weight = np.where(length > limit, limit / np.maximum(length, 1e-12), 1.0)
@@ -260,8 +260,8 @@ class _GravitySolver:
             rate, attitude = self._integrate_move(gain, move)
             end = attitude[-1]
             predicted = end.T @ move.gravity_before
-            # A change dw of the rate over one step turns the end by P_end' P_k dw dt, and
-            # dw = -G^-1 dG w; a turn d of the end moves the carried vector by carried x d.
+            # A change dw of the rate over one step rotates the end by P_end' P_k dw dt, and dw =
+            # -G^-1 dG w; a rotation d of the end changes the predicted vector by predicted x d.
             half = 0.5 * (attitude + np.concatenate([np.eye(3)[None], attitude[:-1]]))
             middle = 0.5 * (rate[1:] + rate[:-1])
             summed = np.einsum("kia,kl,k->ial", half @ inverse, middle, move.step_s)

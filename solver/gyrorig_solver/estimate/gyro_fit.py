@@ -18,7 +18,7 @@ from gyrorig_solver.model import LevelEstimate
 
 @dataclass(frozen=True, slots=True)
 class ObservabilityReport:
-    """Which parameters the data show, decided before any number is printed."""
+    """Parameters that the data determine; decided before any number is printed."""
 
     rank: int  # directions of gain and bias better than half of their prior
     of: int
@@ -38,7 +38,7 @@ class NoiseLevels:
     # White noise while the stage, pan or tilt moves, by "in_motion", "pan_motion", "tilt_motion";
     # empty if it is the same as at rest.
     white_by_motor_state: Mapping[str, FloatArray] = field(default_factory=dict)
-    noise_floor: FloatArray | None = None  # rad/s/sqrt(Hz), one-sided, behind the low-pass
+    noise_floor: FloatArray | None = None  # rad/s/sqrt(Hz), one-sided, after the low-pass
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -75,7 +75,7 @@ class ClockQuality:
 class FittedParameter:
     """One parameter of a cause beyond the base model."""
 
-    name: str  # cause, or cause.parameter where it has several
+    name: str  # cause, or cause.parameter if it has several
     value: FloatArray  # nan if unobservable
     std: FloatArray
     unit: str
@@ -93,11 +93,12 @@ class RecordingFit:
 
 @dataclass(frozen=True, slots=True)
 class BoardSharing:
-    """What a board's fit has in common with other boards of the recordings; None without any."""
+    """Properties that a board's fit shares with other boards of the recordings; None without."""
 
     fitted_together: int | None = None  # boards of one joint fit
     on_one_clock: int | None = None  # boards with one time base, in the last recording
-    clock_change_s: float | None = None  # rms, that the common time base made to this board's times
+    # rms of the change of this board's times by the common time base
+    clock_change_s: float | None = None
 
 
 NO_SHARING = BoardSharing()
@@ -116,8 +117,8 @@ class GravityMoves:
 class GyroFit:
     """One board's calibration with its covariance and its limitations.
 
-    Values that the data do not show are nan here and null in the document. `order` and `covariance`
-    contain only known values, in the units of the values.
+    Values that the data do not determine are nan here and null in the document. `order` and
+    `covariance` contain only known values, in the units of the values.
     """
 
     method: str
@@ -153,14 +154,14 @@ class GyroFit:
     gravity_moves: GravityMoves | None = None  # if the reference is gravity
     causes: tuple[FittedParameter, ...] = ()
     level: LevelEstimate | None = None  # if the recording has an accelerometer and tilts
-    temperature: TemperatureFit | None = None  # the bias against the temperature
+    temperature: TemperatureFit | None = None  # the bias over temperature
     recordings: tuple[RecordingFit, ...] = ()  # in the order of time, if there are several
 
     @property
     def identified(self) -> bool:
         """True if every parameter of the base model has a value.
 
-        If False, `observability.reasons` states which motion would show the missing ones.
+        If False, `observability.reasons` states which motion would determine the missing ones.
         """
         return not self.observability.unobservable
 

@@ -34,12 +34,12 @@ PARAMETER_NAMES = (*GAIN_NAMES, *BIAS_NAMES, "time_offset")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MarginalEquations:
-    """Information and score of the board's parameters, the reference's unknowns eliminated."""
+    """Information and score of the board's parameters, with the reference's unknowns eliminated."""
 
     information: FloatArray  # (p, p)
     score: FloatArray  # (p,)
     _shared: FloatArray  # (g, p + 1), back substitution of the shared unknowns
-    _local: FloatArray  # (m, p + g + 1), of the local ones
+    _local: FloatArray  # (m, p + g + 1), back substitution of the local unknowns
 
     def nuisance_step(self, step: FloatArray) -> FloatArray:
         """Return the step of the reference's unknowns (local, shared) for a step of the board's."""
@@ -55,13 +55,13 @@ def marginalise(
     board_parameters: int = BASE_PARAMETERS,
     columns: LawColumns = NO_LAW_COLUMNS,
 ) -> MarginalEquations:
-    """Add the prior of the reference's unknowns, and eliminate these (Schur complement).
+    """Add the prior of the reference's unknowns, and eliminate these unknowns (Schur complement).
 
     Args:
         equations: over (local | board, shared unknowns that act on the rate).
         reference: has the prior, local unknowns first.
         board_parameters: number of the board's parameters.
-        columns: those of them that belong to the motion law.
+        columns: the parameters that belong to the motion law.
     """
     return RecordingEquations.of(equations, reference, board_parameters, columns).marginalise()
 
@@ -134,7 +134,7 @@ class RecordingEquations:
 
         Args:
             step: of the board's parameters.
-            nuisance_step: of the reference's unknowns, local ones first.
+            nuisance_step: of the reference's unknowns, local unknowns first.
         """
         local = self.matrix.size[0]
         full = np.concatenate([nuisance_step[:local], step, nuisance_step[local:]])
@@ -162,7 +162,7 @@ def add_parameter_noise(information: FloatArray, index: int, std: float) -> Floa
 def motion_information(
     series: Series, reference: ReferenceMotion, noise: NoiseModel, gain: FloatArray
 ) -> FloatArray:
-    """Return the information of samples of a motion, the reference's unknowns marginalised.
+    """Return the information of samples of a motion, with the reference's unknowns marginalised.
 
     Args:
         series: times of the samples; their rates are not used.

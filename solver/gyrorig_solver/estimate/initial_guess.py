@@ -14,8 +14,8 @@ from gyrorig_solver.estimate.series import Series
 
 MAX_LAG_S = 0.3  # range of the search
 NOMINAL_WEIGHT = 1e-4  # of the nominal gain, (rad/s)^2 times samples
-MAX_CORRELATED_BLOCKS = 1 << 17  # minutes show the lag as well as hours
-MIN_SPEED_STD_RAD_S = 0.003  # with less variation there is no lag to find
+MAX_CORRELATED_BLOCKS = 1 << 17  # some minutes show the lag as well as hours
+MIN_SPEED_STD_RAD_S = 0.003  # with less variation, the lag cannot be found
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -33,7 +33,7 @@ class LeastSquaresSums:
         )
 
     def without_bias(self) -> "LeastSquaresSums":
-        """Return the sums with the recording's own bias eliminated, (3, 3) each."""
+        """Return the sums with the recording's bias eliminated, (3, 3) each."""
         count = max(float(self.gram[3, 3]), 1.0)
         mean, measured = self.gram[3, :3] / count, self.moment[3] / count
         return LeastSquaresSums(
@@ -55,7 +55,7 @@ class LeastSquaresSums:
 
 
 def solve_shared_gain(sums: Sequence[LeastSquaresSums]) -> FloatArray:
-    """Return the least-squares gain of several recordings, each with its own bias, shape (3, 3).
+    """Return the least-squares gain of recordings that have separate biases, shape (3, 3).
 
     Directions without excitation stay nominal.
     """

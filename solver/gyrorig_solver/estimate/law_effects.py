@@ -2,11 +2,11 @@
 
 A change of the law changes the samples directly and through the moves, which follow the replies
 under the changed law. The replies have information about the law too. A score test of a cause that
-changes the law needs all three: under the moves of another law, the effect looks different.
+changes the law needs all three, because the effect looks different under the moves of another law.
 
-A higher base speed b mainly shortens the moves, which earlier starts absorb; what remains grows as
-b^2. That of a rounded corner grows as the square of its length. Neither has a derivative at zero,
-so derivatives are taken at small values instead.
+A higher base speed b mainly shortens the moves, which earlier starts absorb; the remaining effect
+grows as b^2. The effect of a rounded corner grows as the square of its length. Neither has a
+derivative at zero, so derivatives are computed at small values instead.
 
 What to use when: `LawEffects.of` at a fit; `NuisanceProjector.law_statistics` for the statistics.
 """
@@ -30,22 +30,22 @@ from gyrorig_solver.reference import (
     PanTiltReference,
 )
 
-# The smallest values at which derivatives are taken: what they change is far below the noise.
+# The smallest values at which derivatives are computed; their effects are far below the noise.
 PROBED_BASE_SPEED_RAD_S = 0.15 * DEG
 PROBED_CORNER_S = 5e-3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LawScale:
-    """Changes of k values of a law, from their changes to first order."""
+    """Conversion between changes of k values of a law and their first-order changes."""
 
-    origin: FloatArray  # (k,), of the fit, with the setting
-    probed: FloatArray  # (k,), where the derivatives are
+    origin: FloatArray  # (k,), values of the fit, including the setting
+    probed: FloatArray  # (k,), values at which the derivatives are computed
     is_square: tuple[bool, ...]  # whether the effect grows as the square of the value
 
     @classmethod
     def of(cls, reference: PanTiltReference) -> Self:
-        """Return that of all values of a law, in the order of `MotionLaw.of_values`."""
+        """Return the scale of all values of a law, in the order of `MotionLaw.of_values`."""
         table, law = reference.move_fit.table, reference.law
         base_rad_s = np.zeros(2)
         for axis in (0, 1):
@@ -60,20 +60,20 @@ class LawScale:
         return cls(origin, probed, tuple(is_square.tolist()))
 
     def subset(self, values: IntArray) -> Self:
-        """Return it for some values; `values`: their positions, shape (k,)."""
+        """Return the scale of some values; `values`: their positions, shape (k,)."""
         is_square = tuple(self.is_square[k] for k in values)
         return replace(
             self, origin=self.origin[values], probed=self.probed[values], is_square=is_square
         )
 
     def changes(self, first_order: FloatArray) -> FloatArray:
-        """Return the changes with the same effect as changes to first order, (k,)."""
+        """Return the changes that have the same effect as these first-order changes, (k,)."""
         squares = np.maximum(self.origin**2 + 2.0 * self.probed * first_order, 0.0)
         return np.where(self.is_square, np.sqrt(squares) - self.origin, first_order)
 
     @property
     def probed_effect(self) -> FloatArray:
-        """The effect of the probed law, relative to that of the fit, as changes to first order."""
+        """The effect of the probed law, relative to that of the fit, as first-order changes."""
         added = (self.probed**2 - self.origin**2) / (
             2.0 * np.where(self.is_square, self.probed, 1.0)
         )
@@ -82,13 +82,13 @@ class LawScale:
     def effect_shares(self, values: FloatArray) -> FloatArray:
         """Return the effect of values of the fit, in units of their derivative times the value.
 
-        `values`: by which the law differs from the setting, (k,).
+        `values`: differences between the law and the setting, (k,).
         """
         squares = (self.origin - 0.5 * values) / np.where(self.origin > 0.0, self.origin, 1.0)
         return np.where(self.is_square, squares, 1.0)
 
     def probe(self, reference: PanTiltReference) -> PanTiltReference:
-        """Return a reference under the law of the derivatives; the values are all of the law."""
+        """Return a reference under the probed law; this scale must have all values of the law."""
         added = self.probed - self.origin
         law = reference.law
         base = np.array(law.base_speed_steps_s) + added[2:4] / np.abs(reference.rad_per_step)
@@ -146,9 +146,9 @@ class LawEffects:
         return np.asarray(np.sum([p.information for p in self.profiles], axis=0), np.float64)
 
     def reply_score(self) -> FloatArray:
-        """Return the score of the values by all replies, (6,), at the law of the fit.
+        """Return the score of the values from all replies, (6,), at the law of the fit.
 
-        The profiles are of the probed law, so that their residuals contain the effect of the
+        The profiles belong to the probed law, so their residuals contain the effect of the
         difference between the two laws.
         """
         score = np.sum([profile.score for profile in self.profiles], axis=0)

@@ -1,14 +1,14 @@
 """The maximum-likelihood fit of boards to reference motions, in the rate domain.
 
-Trust-region iterations over each board's G, each recording's (b, tau), the causes' values, and each
-reference's own unknowns. After each accepted step the noise levels are estimated again from the
-residual's spectrum. Several boards that were on one unit at the same time share the unknowns of its
-motion, and the values of unit-wide causes: the boards' parameters are the dense border of the
-normal matrix, and the motion's local unknowns the sparse part, which is eliminated once for all
-boards. One board is the case N = 1. All derivatives are analytic. See `trust_region` for the
-iteration, `parameter_layout` for the order of the parameters, `linear.normal_equations` for the
-algebra, `noise.noise_model` for the density, `board_fit` for one board, `session_fit` for one
-recording and `observability` for which values are reported.
+The fit uses trust-region iterations over each board's G, each recording's (b, tau), the causes'
+values, and each reference's unknowns. After each accepted step, the noise levels are estimated
+again from the residual's spectrum. Several boards that were on one unit at the same time share the
+unknowns of its motion, and the values of unit-wide causes. The boards' parameters are the dense
+border of the normal matrix. The motion's local unknowns are the sparse part, which is eliminated
+once for all boards. One board is the case N = 1. All derivatives are analytic. See `trust_region`
+for the iteration, `parameter_layout` for the order of the parameters, `linear.normal_equations` for
+the algebra, `noise.noise_model` for the density, `board_fit` for one board, `session_fit` for one
+recording and `observability` for the rule that decides which values are reported.
 
 What to use when: `fit_likelihood` for a first fit of one board; `refit_with_terms` to fit the same
 recordings with other causes; `confirm_fit` before values are stated; `multi_board_fit` for several
@@ -40,11 +40,12 @@ from gyrorig_solver.estimate.trust_region import Convergence, ProposedStep, mini
 
 MAX_EVALUATIONS = 40  # of the objective
 MAX_MOTION_NOISE_UPDATES = 3  # each followed by another minimisation
-MAX_CONFIRMATIONS = 4  # each with at most so many evaluations:
+MAX_CONFIRMATIONS = 4  # each with at most this number of evaluations:
 CONFIRMING_EVALUATIONS = 15
-ROUGH_CONFIRMATIONS = 2  # after so many, only the predicted decrease counts
-CONFIRMED_SIGMA = 0.1  # of the next step with new derivatives: no stated digit changes
-CONFIRMED_NATS = 0.1  # of its predicted decrease; then no parameter moves by 0.45 deviations
+ROUGH_CONFIRMATIONS = 2  # after this number, only the predicted decrease counts
+CONFIRMED_SIGMA = 0.1  # of the next step with new derivatives; no stated digit changes
+# predicted decrease of this step; then no parameter changes by 0.45 standard deviations
+CONFIRMED_NATS = 0.1
 
 
 def fit_likelihood(
@@ -53,7 +54,7 @@ def fit_likelihood(
     """Fit one board to the reference motions of its recordings.
 
     Args:
-        sessions: in the order of time; bias and offset of the last one are the result's.
+        sessions: in the order of time; the result has bias and offset of the last one.
         fitted_terms: causes beyond the base model, common to all recordings.
 
     Raises:
@@ -70,12 +71,12 @@ def refit_with_terms(
     """Fit the same recordings with other causes, starting from a previous fit.
 
     Args:
-        previous: is not changed.
+        previous: the previous fit, which is not changed.
         fitted_terms: all causes of the new fit, each with good start values.
         max_evaluations: limit on the evaluations of the objective.
 
     Returns:
-        The fit. Samples that only the previous model rejected as outliers take part.
+        The fit. It uses the samples that only the previous model rejected as outliers.
     """
     solution = _fit_board(BoardFit.resumed(previous, fitted_terms), max_evaluations)
     if not solution.converged or not solution.outliers:
@@ -89,23 +90,23 @@ def refit_with_terms(
 
 
 def _is_rough_optimum(fit: "LikelihoodFit", step: ProposedStep) -> bool:
-    """Return whether neither a step nor half of it decreases the objective as it promises.
+    """Return whether neither a step nor half of it decreases the objective as predicted.
 
-    The derivatives at a threshold are those of the samples on one side of it.
+    At a threshold, the derivatives are those of the samples on one side of it.
     """
     return all(fit.evaluate(step.scaled(share)) < CONFIRMED_NATS for share in (1.0, 0.5))
 
 
 def confirm_fit(solution: ConvergedFit) -> ConvergedFit:
-    """Return a fit, continued until new derivatives and a new test for outliers change nothing.
+    """Return a fit after iterations until new derivatives and outlier tests do not change it.
 
-    A fit keeps its derivatives and outliers while its steps are small. Where a cause has a
-    threshold, or a misfit looks like an outlier, its end is then near the optimum but not at it.
-    After the first round, a sample that was rejected stays rejected: two sets of outliers that
-    lead to each other would follow without an end.
+    A fit keeps its derivatives and outliers while its steps are small. If a cause has a threshold,
+    or a misfit looks like an outlier, the fit therefore ends near the optimum but not at it. After
+    the first round, a rejected sample stays rejected. Otherwise, the fit could alternate between
+    two sets of outliers without an end.
 
     Args:
-        solution: a fit; it is left as it is.
+        solution: a fit, which is not changed.
 
     Returns:
         The fit at its optimum. If steps with new derivatives still decrease the objective, it has
@@ -117,7 +118,7 @@ def confirm_fit(solution: ConvergedFit) -> ConvergedFit:
         board = BoardFit.resumed(solution, solution.fitted_terms, keep_rejected=k > 0)
         fit = LikelihoodFit([board])
         step = fit.propose(0.0)
-        # A threshold makes the objective rough, so that the last steps do not become smaller.
+        # A threshold makes the objective rough, so the last steps do not become smaller.
         is_small = step.size_sigma < CONFIRMED_SIGMA or k >= ROUGH_CONFIRMATIONS
         is_confirmed = step.predicted_decrease < CONFIRMED_NATS and is_small
         if is_confirmed or (k >= ROUGH_CONFIRMATIONS and _is_rough_optimum(fit, step)):
@@ -143,7 +144,7 @@ def _fit_board(board: BoardFit, max_evaluations: int, always_renew: bool = False
     fit = LikelihoodFit([board])
     convergence = minimise(fit, max_evaluations, always_renew=always_renew)
     for _ in range(MAX_MOTION_NOISE_UPDATES):
-        # Before convergence a misfit can look like noise.
+        # Before convergence, a misfit can look like noise.
         if not convergence.converged or not board.update_motion_noise():
             break
         fit = LikelihoodFit([board])
@@ -228,7 +229,7 @@ class LikelihoodFit:
             board.apply_step(proposal.step[self.layout.board_index(k)], proposal.nuisance_steps)
 
     def solutions(self, convergence: Convergence) -> list[ConvergedFit]:
-        """Return each board's result, the other boards' parameters marginalised."""
+        """Return each board's result, with the other boards' parameters marginalised."""
         return [
             summarize_board(
                 board,
@@ -285,7 +286,7 @@ class LikelihoodFit:
     ) -> FloatArray:
         """Clip the Gauss-Newton step to the causes' ranges (active set), and solve the rest again.
 
-        A cause at its bound that is pushed outside stays there.
+        A cause at its bound stays there if the step would move it outside.
         """
         terms = _positions_of(self._distinct_terms())
         fixed = np.zeros(step.size, dtype=np.bool_)

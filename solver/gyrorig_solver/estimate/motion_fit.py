@@ -1,7 +1,7 @@
-"""The fit to a reference motion and its summary: a board on a unit, or at rest.
+"""Fit to a reference motion and its summary: a board on a unit, or at rest.
 
-What to use when: `fit_motion` for one recording of a board, `fit_recordings` for several.
-`likelihood_fit` is the estimator itself.
+What to use when: `fit_motion` for one recording of a board, `fit_recordings` for several. The
+estimator is `likelihood_fit`.
 """
 
 from collections.abc import Mapping, Sequence
@@ -31,11 +31,11 @@ from gyrorig_solver.estimate.uncertainty_widening import reduced_chi2, widen_unc
 from gyrorig_solver.model import RecordingContext
 from gyrorig_solver.reference import DETENT_VARIANCE, PanTiltReference, ReferenceMotion
 
-# Whitened variance in motion over that at rest: above this limit the model is called inadequate.
+# Whitened variance in motion over that at rest; above this limit, the model is inadequate.
 MAX_REDUCED_CHI2 = 1.25
 HELD_OUT_WINDOW_S = 10.0
 PATH_RATE_HZ = 100.0  # sufficient for rotations between rests
-MAX_REST_RATE_RAD_S = 1e-4  # behind the low-pass the rate decays below this within 0.1 s
+MAX_REST_RATE_RAD_S = 1e-4  # after the low-pass, the rate decays below this within 0.1 s
 REST_TO_REST_HZ = 0.2  # a move with its rests lasts some seconds
 MIN_CROSS_CHECK_P = 1e-4  # of the cross-check: one false alarm in ten thousand
 MAX_OUTLIER_SHARE = 1e-3  # of the samples
@@ -60,8 +60,8 @@ def fit_recordings(
 ) -> GyroFit:
     """Fit one board's recordings together and summarise the result.
 
-    The gain is common to all recordings; bias and time offset belong to one recording, and those of
-    the last one are the result's.
+    The gain is common to all recordings. Bias and time offset belong to one recording; the result
+    has those of the last one.
 
     Args:
         recordings: samples of one board and the stage's motion on the samples' time axis, in the
@@ -94,10 +94,10 @@ def summarize_motion_fit(
         samples: in the order of time.
         reason_texts: as for `fit_recordings`.
         warnings: known anomalies.
-        sharing: what the fit has in common with other boards.
+        sharing: properties that the fit shares with other boards.
 
     Raises:
-        NotConvergedError: the fit did not converge, so its values are no result.
+        NotConvergedError: the fit did not converge, so its values are not a result.
     """
     if not solution.converged:
         raise NotConvergedError(solution.convergence, _remedy_without_convergence(solution))
@@ -161,7 +161,7 @@ def solve_motion(
     fitted_terms: Sequence[FittedTerm] = (),
     contexts: Sequence[RecordingContext | None] = (),
 ) -> ConvergedFit:
-    """Fit as `fit_recordings` does, and return the converged fit."""
+    """Fit as in `fit_recordings`, and return the converged fit."""
     contexts_or_none = contexts or [None] * len(recordings)
     sessions = [
         create_session(*recording, context)
@@ -245,7 +245,7 @@ def _count_used(masks: Sequence[Sequence[BoolArray]]) -> int:
 def _rest_to_rest_check(solution: ConvergedFit) -> CrossCheck | None:
     """Compare the fit with the rotations between rests, on a pan-tilt unit.
 
-    None without a unit, and for a long recording: its means are too coarse to be integrated.
+    The result is None without a unit, and for a long recording, whose means are too coarse.
     """
     paths, variances = [], []
     for session in solution.sessions:
@@ -367,7 +367,7 @@ def _diagnostics(solution: ConvergedFit) -> FitDiagnostics:
     residual = np.concatenate(session.residuals(solution.gain))
     white = np.concatenate(solution.whitened_residuals()[-len(session.series) :])
     time_s = np.concatenate([s.block_times_s() for s in session.series])
-    angles = getattr(session.reference, "angles_rad", None)  # rests and attitudes have none
+    angles = getattr(session.reference, "angles_rad", None)  # rests and attitudes have no angles
     return FitDiagnostics(
         time_s=time_s,
         rate_rad_s=np.where(used, np.concatenate(session.measured), np.nan),

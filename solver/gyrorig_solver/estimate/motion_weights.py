@@ -1,7 +1,7 @@
 """The weights of a recording whose noise is larger in motion.
 
-What to use when: `MotionWeights.of` for an estimate of the noise in motion; `updated` for one from
-the residuals of a fit.
+What to use when: `MotionWeights.of` for an estimate of the noise in motion; `updated` for an
+estimate from the residuals of a fit.
 """
 
 from collections.abc import Sequence
@@ -23,7 +23,7 @@ from gyrorig_solver.estimate.series_state import SeriesState
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MotionWeights:
-    """The noise in motion of a recording, at the motion at which it was estimated."""
+    """The noise in motion of a recording, and the motion at which it was estimated."""
 
     motion_noise: MotionNoise | None = None  # None: the noise is the same in motion
     relative_stds: dict[tuple[int, int], RelativeStd] = field(default_factory=dict)
@@ -44,7 +44,7 @@ class MotionWeights:
         return cls(motion_noise, relative_stds)
 
     def relative_std(self, series_index: int, blocks: slice) -> RelativeStd | None:
-        """Return the noise of a part relative to that at rest; None: the same everywhere."""
+        """Return the noise of a part relative to that at rest; None: the same at all times."""
         return self.relative_stds.get((series_index, blocks.start))
 
     def relative_variances(self, states: Sequence[SeriesState]) -> list[FloatArray | None]:
@@ -71,7 +71,7 @@ class MotionWeights:
     def updated(
         self, states: Sequence[SeriesState], residuals: Sequence[FloatArray], noise: NoiseModel
     ) -> "MotionWeights":
-        """Return the weights by residuals, (n, 3) each; the same object without a change."""
+        """Return the weights from residuals, (n, 3) each; the same object if nothing changed."""
         estimate = estimate_motion_noise(
             [
                 MotionResidual(residual, state.rate, state.used, state.series.part_slices())

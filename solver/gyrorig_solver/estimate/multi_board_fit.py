@@ -1,13 +1,13 @@
-"""The joint fit of several boards that were on one unit at the same time.
+"""Joint fit of several boards that were on one unit at the same time.
 
-The start of each move, the position of each rest and the speed of the unit: one board alone
-estimates these from its own samples and the unit's position replies. Boards that were on it at the
-same time estimate them together. Each board keeps its own gain, biases, time offsets, noise and
-causes. The unit's unknowns and the unit-wide causes (`shared_parameters`) are common, as
-`likelihood_fit` fits them.
+The start of each move, the position of each rest and the speed of the unit are unknown. A fit of
+one board estimates these from the samples of this board and the unit's position replies. Boards
+that were on the unit at the same time estimate them together. Each board has a separate gain,
+biases, time offsets, noise and causes. The unit's unknowns and the unit-wide causes
+(`shared_parameters`) are common, as `likelihood_fit` fits them.
 
-What to use when: `fit_boards_jointly` after a fit of each board alone. A board that disagrees with
-the others about the motion of the unit is left out, because it would distort all of them.
+What to use when: `fit_boards_jointly` after a separate fit of each board. A board that disagrees
+with the others about the motion of the unit is left out, because it would distort all of them.
 
 Source: the test of agreement is a score test (Rao 1948) of one board's information on the unit's
 unknowns, at the joint optimum. Because the position replies constrain these unknowns, the statistic
@@ -39,18 +39,16 @@ MAX_EVALUATIONS_WITH_CAUSES = 40
 MAX_LAG_CHANGE_SIGMA = 2.0  # a larger change of a time offset in the joint fit indicates drift
 NOT_CONVERGED = "the joint fit of all boards did not converge"
 MIN_AGREEMENT_P = 1e-6  # of a board, divided by the number of boards
-MAX_DENSE_UNKNOWNS = 1500  # of a motion: a larger dense matrix is too slow
+MAX_DENSE_UNKNOWNS = 1500  # of a motion; a larger dense matrix is too slow
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class JointFitResult:
     """The end of a joint fit."""
 
-    solutions: Mapping[
-        str, ConvergedFit
-    ]  # of the boards that took part; empty if there are too few
+    solutions: Mapping[str, ConvergedFit]  # of the participating boards; empty if there are too few
     left_out: Mapping[str, str]  # the other boards, with the reason
-    # Of the agreement of each board that took part with the others.
+    # p-value of the agreement of each participating board with the others.
     agreement_p_values: Mapping[str, float] = field(default_factory=dict)
 
 
@@ -60,7 +58,7 @@ def fit_boards_jointly(
     """Fit boards together that were on one unit in the same recordings.
 
     Args:
-        single_fits: the fit of each board alone.
+        single_fits: separate fit of each board.
         shared_labels: of the unit-wide causes, for each board that has them.
     """
     left_out = {
@@ -85,7 +83,7 @@ def fit_boards_jointly(
             return JointFitResult(
                 dict(zip(included, fit.solutions(convergence), strict=True)), left_out, p_values
             )
-        # If two boards disagree, nothing shows which one is right.
+        # If two boards disagree, the data do not show which one is right.
         only_two = len(included) == 2
         removed = list(included) if only_two else [worst]
         others = "the other board" if only_two else f"{len(included) - 1} other boards"
@@ -108,7 +106,7 @@ def _term_value_count(solution: ConvergedFit) -> int:
 
 
 def _boards_with_other_motion(solutions: Mapping[str, ConvergedFit]) -> list[str]:
-    """Return the boards whose reference has other unknowns or another law than most boards'."""
+    """Return the boards whose reference has other unknowns or another law than most boards."""
     layout = {
         name: tuple(
             (
@@ -127,9 +125,9 @@ def _boards_with_other_motion(solutions: Mapping[str, ConvergedFit]) -> list[str
 def _lags_unchanged(single_fits: Iterable[ConvergedFit], boards: Sequence[BoardFit]) -> bool:
     """Return whether the boards' time offsets are close to those of their single fits.
 
-    If causes distort the motion, the derivatives by lags and moves neglect how the effects move
-    with them. A common shift of both, which hardly changes the residual, can then drift without
-    end.
+    If causes distort the motion, the derivatives by lags and moves neglect that the effects move
+    with them. A common shift of both hardly changes the residual, and can therefore drift without
+    an end.
     """
     for solution, board in zip(single_fits, boards, strict=True):
         current_s = np.array([session.lag_s for session in board.sessions])
@@ -154,7 +152,7 @@ def _iterate_jointly(
 def _resume_boards(
     single_fits: Sequence[ConvergedFit], shared_labels: Collection[str]
 ) -> list[BoardFit]:
-    """Return the boards, all of them at the mean of their motions and unit-wide causes."""
+    """Return the boards, all at the mean of their motions and unit-wide causes."""
     terms_of_boards = average_shared_values(single_fits, shared_labels)
     boards = [
         BoardFit.resumed(solution, fitted_terms)
@@ -173,7 +171,7 @@ def _resume_boards(
 def agreement_p_value(fit: LikelihoodFit, board_index: int) -> float:
     """Return the p-value of one board's agreement with the others at the joint optimum.
 
-    It is the smaller one of the motion's and of the unit-wide causes'.
+    It is the smaller p-value of the motion and of the unit-wide causes.
     """
     board = fit.boards[board_index]
     pairs = list(zip(board.normal_equations(), board.sessions, strict=True))
@@ -239,7 +237,7 @@ def motion_agreement_p_value(
 
 
 def _reduce_information(matrix: FloatArray, keep: IntArray, drop: IntArray) -> FloatArray:
-    """Return the information about some unknowns, the others eliminated."""
+    """Return the information about some unknowns, with the others eliminated."""
     cross = matrix[np.ix_(keep, drop)]
     inverse = np.linalg.pinv(matrix[np.ix_(drop, drop)], hermitian=True)
     return np.asarray(matrix[np.ix_(keep, keep)] - cross @ inverse @ cross.T, dtype=np.float64)

@@ -1,7 +1,7 @@
-"""The whitened Jacobian of a fit, and the prior information about its unknowns.
+"""Whitened Jacobian of a fit, and the prior information about its unknowns.
 
-What to use when: `nuisance_basis` for the space that a fit can absorb; `nuisance_projector` removes
-it from signals.
+What to use when: `nuisance_basis` for the space that a fit can absorb; `nuisance_projector` to
+remove this space from signals.
 """
 
 from collections.abc import Sequence
@@ -24,7 +24,7 @@ from gyrorig_solver.model import SignalState
 
 @dataclass(frozen=True, slots=True, eq=False)
 class NuisancePrior:
-    """The prior of all unknowns of a fit: local ones, and the others."""
+    """The prior of all unknowns of a fit: local unknowns, and the others."""
 
     local: csc_array
     cross: FloatArray
@@ -32,7 +32,7 @@ class NuisancePrior:
     local_score: FloatArray
     shared_score: FloatArray
     first_term: int  # position of the causes among the shared unknowns
-    board_parameters: int  # number of the board's own: G, b, tau, causes
+    board_parameters: int  # number of the board's parameters: G, b, tau, causes
     motion_offset: FloatArray = field(
         default_factory=lambda: np.zeros(0)
     )  # of a motion's unknowns:
@@ -44,7 +44,7 @@ def nuisance_basis(
 ) -> tuple[FloatArray, csr_array, NuisancePrior]:
     """Return the whitened derivatives of a fit, and the prior of its unknowns.
 
-    In the order G, each recording's (b, tau), the causes, each reference's shared unknowns.
+    The order is G, each recording's (b, tau), the causes, each reference's shared unknowns.
     """
     layout = ParameterLayout.of([fitted_terms], len(solution.sessions))
     informations = [session.reference.information for session in solution.sessions]
@@ -112,7 +112,7 @@ def _prior_information(
     size = int(shared_first[-1])
     shared, cross = np.zeros((size, size)), np.zeros((int(local_first[-1]), size))
     local_score, shared_score = np.zeros(int(local_first[-1])), np.zeros(size)
-    # Unobservable parameters keep their prior; otherwise causes along them look identifiable.
+    # Unobservable parameters keep their prior; otherwise causes along them seem identifiable.
     diagonal = np.arange(layout.size)
     shared[diagonal, diagonal] = layout.prior_std**-2.0
     for fitted_term, block in zip(fitted_terms, layout.term_blocks(), strict=True):

@@ -5,7 +5,7 @@ that gain, biases, time offsets, the references' unknowns and the fitted causes 
 within its prior. The remaining energy of a signal is the information that it adds; its product with
 the residual is its score.
 
-What to use when: `NuisanceProjector.at_fit` at a fit; `whiten` for signals, `score_statistics` for
+What to use when: `NuisanceProjector.at_fit` for a fit; `whiten` for signals, `score_statistics` for
 their information and score.
 
 Source: score (Lagrange multiplier) test with nuisances eliminated; Rao, Linear Statistical
@@ -55,7 +55,7 @@ class LawStatistics:
     scale: LawScale
 
     def subset(self, values: IntArray) -> Self:
-        """Return those of some values; `values`: their positions, shape (k,)."""
+        """Return the statistics of some values; `values`: their positions, shape (k,)."""
         return replace(
             self,
             together=self.together.subset(values),
@@ -76,7 +76,7 @@ class NuisanceProjector(NuisanceSpace):
         prior: NuisancePrior,
         active_terms: Sequence[FittedTerm] = (),
     ) -> None:
-        """Use `at_fit` instead; `active_terms` have their effect removed from the residual."""
+        """Use `at_fit` instead; the effect of `active_terms` is removed from the residual."""
         self.segments, self.fitted_terms = tuple(segments), tuple(fitted_terms)
         residual = self.whiten(
             [[residual[None] for residual in segment.residuals] for segment in segments]
@@ -91,7 +91,8 @@ class NuisanceProjector(NuisanceSpace):
             for segment in segments
         ]
         self._cached_term = ""
-        self._solution: ConvergedFit | None = None  # None: its law is not that of the residual
+        # None: its law differs from that of the residual
+        self._solution: ConvergedFit | None = None
         self._law_statistics: LawStatistics | None = None
         self.statistics_by_family: dict[str, ScoreStatistics] = {}
 
@@ -131,12 +132,12 @@ class NuisanceProjector(NuisanceSpace):
     ) -> Self:
         """Return the projector of a fit whose residual is the effect of one cause, without noise.
 
-        Every unknown is at the mean of its prior. What another cause wins of this residual is what
-        it can explain of the effect.
+        Every unknown is at the mean of its prior. The log-likelihood that another cause gains on
+        this residual is the part of the effect that it can explain.
 
         Args:
             solution: a fit with `replaced_term`; the samples themselves are not used.
-            replaced_term: the cause of the fit that is taken out; None: none.
+            replaced_term: the cause of the fit that is removed; None: no cause.
             cause: the cause whose effect is the residual; None: the residual is zero.
             noises: of each recording.
         """
@@ -182,7 +183,7 @@ class NuisanceProjector(NuisanceSpace):
         )
 
     def _law_effect(self, removed_terms: Sequence[FittedTerm]) -> FloatArray:
-        """Return the whitened effect of those terms that change the motion law, (all,).
+        """Return the whitened effect of the terms that change the motion law, (all,).
 
         The derivatives contain the moves, which follow the replies under the other law.
         """
@@ -203,9 +204,9 @@ class NuisanceProjector(NuisanceSpace):
         return effect
 
     def law_statistics(self, term: Term) -> LawStatistics | None:
-        """Return the statistics of a cause that changes the motion law, under its own law.
+        """Return the statistics of a cause that changes the motion law, under its law.
 
-        The samples, the moves that follow the replies, and the replies themselves take part. The
+        They use the samples, the moves that follow the replies, and the replies themselves. The
         values are pan and tilt.
 
         Returns:
@@ -237,7 +238,7 @@ class NuisanceProjector(NuisanceSpace):
         cross = np.zeros((self._basis.shape[0], LAW_VALUES))
         cross[columns.parameters] = information[fitted]
         together = self.dense_statistics(white, OtherData(information, cross, score))
-        # The replies alone: the fitted values of the law follow them.
+        # From the replies alone, the fitted values of the law follow the replies.
         inverse = np.linalg.pinv(information[np.ix_(fitted, fitted)], hermitian=True)
         follow = information[:, fitted] @ inverse
         replies = ScoreStatistics(
@@ -323,9 +324,9 @@ class NuisanceProjector(NuisanceSpace):
     def evaluate_together(
         self, functions: Sequence[SignalFunction], count: int, term: Term | None = None
     ) -> WhitenedSignals:
-        """Return `count` signals of several functions, one after the other, whitened.
+        """Return `count` signals of several functions in sequence, whitened.
 
-        Only in single precision: `evaluate_signals` returns them in double precision.
+        The signals have single precision; `evaluate_signals` returns them in double precision.
         """
         whiteners = [SignalWhitener(segment, count, np.float32) for segment in self.segments]
         for function in functions:
@@ -358,7 +359,7 @@ class NuisanceProjector(NuisanceSpace):
     def term_derivatives(
         self, term: Term, values: FloatArray, free: IntArray | Sequence[int]
     ) -> WhitenedSignals:
-        """Return a term's derivatives and, last, its joint effect, whitened and exact.
+        """Return a term's derivatives, followed by its joint effect, whitened and exact.
 
         Args:
             term: the cause.

@@ -1,10 +1,11 @@
-"""The space of signals that a fit can absorb, and what remains of a signal outside of it.
+"""Space of signals that a fit can absorb, and the remainder of a signal outside of it.
 
 Each unknown is within its prior. The remaining energy of a signal is the information that it adds;
 its product with the residual is its score.
 
 What to use when: `score_statistics` for information and score of whitened signals;
-`held_out_residuals` for a fit of some windows to the others; `NuisanceProjector` to whiten signals.
+`held_out_residuals` for models that are fitted to some windows and tested on the others;
+`NuisanceProjector` to whiten signals.
 """
 
 from collections.abc import Sequence
@@ -54,10 +55,10 @@ class ScoreStatistics:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OtherData:
-    """What other data than the samples say of the sizes of k signals."""
+    """Information of data other than the samples on the sizes of k signals."""
 
     information: FloatArray  # (k, k)
-    cross: FloatArray  # (q, k), with all unknowns of the fit but the local ones
+    cross: FloatArray  # (q, k), with all unknowns of the fit except the local ones
     score: FloatArray  # (k,)
 
 
@@ -65,7 +66,7 @@ class OtherData:
 class ReducedModel:
     """The model of a fit without some of its causes."""
 
-    rows: IntArray  # the unknowns that remain, local ones excluded
+    rows: IntArray  # the remaining unknowns, without the local ones
     residual: FloatArray  # (all,), whitened, with the effect of the removed causes
 
 
@@ -77,16 +78,16 @@ class NormalBlocks:
     board_prior_information: FloatArray  # (board, board), information
     board_prior_score: FloatArray  # (board,), score
     local_derivatives: csr_array  # (m, all), by the motion's local unknowns
-    shared_derivatives: FloatArray  # (g, all), by its shared ones
+    shared_derivatives: FloatArray  # (g, all), by its shared unknowns
     motion_prior_information: FloatArray  # (m + g, m + g), information
     motion_prior_offset: FloatArray  # (m + g,), prior mean minus current value
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _SubsetProducts:
-    """Products of a fit's derivatives over a subset of the values, with each other and residuals.
+    """Products of a fit's derivatives over a subset of values, with each other and with residuals.
 
-    The residuals are those of some models.
+    The residuals are those of several models.
     """
 
     shared: FloatArray  # (q, q)
@@ -148,7 +149,7 @@ class NuisanceSpace:
         shared = products.shared + prior.shared
         shared_information = shared - self._cross.T @ self._back_substitution
         self._inverse = np.linalg.pinv(shared_information, hermitian=True)
-        # An event in held-out data cannot be fitted to the other data: a prior keeps its value.
+        # An event in held-out data cannot be fitted to the other data; a prior keeps its value.
         self._held_out_prior = np.zeros(basis.shape[0])
         self._held_out_prior[prior.first_term : prior.board_parameters] = (
             HELD_OUT_PRIOR_SHARE
@@ -161,8 +162,9 @@ class NuisanceSpace:
     def held_out_residuals(self, windows: IntArray, models: Sequence[ReducedModel]) -> FloatArray:
         """Return each model's whitened residual on held-out data, (models, all).
 
-        Each window in turn is held out and everything else is fitted to the other windows. In the
-        held-out window only the motion's local unknowns are fitted, because they are not judged.
+        Each window in turn is held out, and all unknowns are fitted to the other windows. In the
+        held-out window, only the motion's local unknowns are fitted, because they are not part of
+        the test.
 
         Args:
             windows: the window of each whitened value, shape (all,).
@@ -237,11 +239,11 @@ class NuisanceSpace:
         )
 
     def dense_statistics(self, white: FloatArray, elsewhere: OtherData) -> ScoreStatistics:
-        """Return information and score of whitened signals, which other data measure too.
+        """Return information and score of whitened signals that other data measure too.
 
         Args:
             white: the signals, (k, all).
-            elsewhere: what the other data say of their sizes.
+            elsewhere: information of the other data on the sizes of the signals.
         """
         return self._statistics(
             SignalProducts(
@@ -271,7 +273,7 @@ class NuisanceSpace:
         return len(self._basis)
 
     def motion_space(self) -> "NuisanceSpace":
-        """Return the space of the motion's unknowns alone, which belong to one recording."""
+        """Return the space of only the motion's unknowns, which belong to one recording."""
         board, prior = self.board_parameters, self._prior
         own_prior = replace(
             prior,
@@ -286,7 +288,7 @@ class NuisanceSpace:
         )
 
     def normal_blocks(self) -> NormalBlocks:
-        """Return the blocks of which the projector is made."""
+        """Return the blocks from which the projector is computed."""
         board, prior = self.board_parameters, self._prior
         motion_cross = prior.cross[:, board:]
         return NormalBlocks(

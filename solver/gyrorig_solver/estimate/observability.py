@@ -1,10 +1,10 @@
 """Observability: which parameters the data determine, relative to their physical range.
 
 Parameters have different units, so a condition number alone has no meaning. Here each direction of
-parameter space is measured in units of its prior: how far a real board's value can be from nominal.
-A direction whose standard deviation is above half of the prior's is unobservable: its value stays
-null, whatever a solver would print. (SciPy reports success with 1.75 or 15.6 for an unexcited
-parameter of true value 0.03; see docs/explain/bound.md.)
+parameter space is measured in units of its prior: the possible deviation of a real board's value
+from nominal. A direction whose standard deviation is above half of the prior's is unobservable: its
+value stays null, although a solver would print a number. (SciPy reports success with 1.75 or 15.6
+for an unexcited parameter of true value 0.03; see docs/explain/bound.md.)
 """
 
 from dataclasses import dataclass, replace
@@ -16,10 +16,10 @@ from gyrorig_solver.data import FloatArray
 
 BIAS_NAMES = ("bias.x", "bias.y", "bias.z")
 
-# How far real parts are from nominal. Gain entries: scale factor +-15 % at worst (L3G4200D family),
-# mount and cross-axis a few degrees. Bias: +-25 dps at worst. Offset: a loaded link.
+# Deviation of real parts from nominal. Gain entries: scale factor +-15 % at worst (L3G4200D
+# family), mount and cross-axis a few degrees. Bias: +-25 dps at worst. Offset: a loaded link.
 PRIOR_STD = {"gain": 0.1, "bias": 0.45, "time_offset": 0.1}
-# A direction is observable if the data alone give half of its prior or better.
+# A direction is observable if the data alone give at most half of its prior standard deviation.
 MAX_STD_RATIO = 0.5
 
 
@@ -34,12 +34,12 @@ class ObservabilityAnalysis:
     condition: float
 
     def widened(self, factors: FloatArray) -> Self:
-        """Return it with each parameter's standard deviation times a factor, (n,)."""
+        """Return the analysis with each parameter's standard deviation times a factor, (n,)."""
         covariance = self.covariance * np.outer(factors, factors)
         return replace(self, covariance=covariance)
 
     def is_observable(self, index: int) -> bool:
-        """Return whether the data's variance of a parameter exceeds the prior's share."""
+        """Return whether a parameter's variance is larger from the data than from the prior."""
         return bool(
             0.0 < self.covariance[index, index] > self.unobservable_covariance[index, index]
         )
@@ -54,7 +54,7 @@ def analyse_observability(information: FloatArray, names: tuple[str, ...]) -> Ob
     """Split the space of named parameters by their information matrix.
 
     Args:
-        information: inverse covariance of the parameters, nuisances marginalised, (n, n).
+        information: inverse covariance of the parameters, with nuisances marginalised, (n, n).
         names: of the parameters, as in `GAIN_NAMES`, `BIAS_NAMES` and `time_offset`.
     """
     return analyse_scaled_observability(information, prior_std(names))
@@ -66,7 +66,7 @@ def analyse_scaled_observability(
     """Split a space of parameters of any kind, each in units of its prior.
 
     Args:
-        information: inverse covariance of the parameters, nuisances marginalised, (n, n).
+        information: inverse covariance of the parameters, with nuisances marginalised, (n, n).
         prior_std: prior standard deviation of each, shape (n,).
     """
     values, vectors = np.linalg.eigh(information * np.outer(prior_std, prior_std))
@@ -84,7 +84,7 @@ def analyse_scaled_observability(
 
 
 def _condition_number(information: FloatArray, all_observed: bool) -> float:
-    """Return the column-normalised condition number of the Jacobian behind the information."""
+    """Return the column-normalised condition number of the Jacobian of the information."""
     diagonal = np.sqrt(np.clip(np.diag(information), 0.0, None))
     nonzero = diagonal > 0.0
     if not nonzero.any():

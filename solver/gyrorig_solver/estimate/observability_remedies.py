@@ -1,4 +1,4 @@
-"""What to record where a motion leaves a parameter unobservable, by kind of reference."""
+"""Instructions for recording if a motion leaves a parameter unobservable, by kind of reference."""
 
 UNIT_REMEDIES = {
     "x": "tilt did not move; move tilt at a few speeds",

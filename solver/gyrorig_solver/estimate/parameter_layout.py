@@ -1,8 +1,8 @@
 """The order of a fit's parameters: named blocks, each with a scope and a prior.
 
 The parameters of a board are its gain, each recording's bias and time offset, and the values of its
-causes, in this order. Boards follow each other. A unit-wide cause is one block that all boards have
-in common, in the place where the first board has it. One board is the case N = 1.
+causes, in this order. Boards follow each other. A unit-wide cause is one block that all boards
+share, at the position of the first board that has it. One board is the case N = 1.
 
 What to use when: `ParameterLayout.of` for the parameters of a fit; `index` for the columns of one
 recording's equations.
@@ -32,8 +32,8 @@ class ParameterBlock:
 
     name: str  # "gain", "bias", "time_offset", or the label of a cause
     scope: BlockScope
-    board: int | None  # None: all boards have it in common
-    recording: int | None  # None: all recordings have it in common
+    board: int | None  # None: all boards share it
+    recording: int | None  # None: all recordings share it
     parameter_names: tuple[str, ...]
     prior_std: FloatArray  # (k,)
     start: int  # of its first parameter
@@ -172,7 +172,7 @@ class ParameterLayout:
 
 
 class _LayoutBuilder:
-    """Appends blocks one after the other."""
+    """Appends blocks in sequence."""
 
     def __init__(self) -> None:
         self.blocks: list[ParameterBlock] = []
@@ -230,7 +230,7 @@ def _positions(blocks: Sequence[ParameterBlock]) -> IntArray:
 def eliminate_parameters(
     information: FloatArray, keep: IntArray, prior_std: FloatArray
 ) -> FloatArray:
-    """Return the information about some parameters, all others eliminated (Schur complement).
+    """Return the information about some parameters, with all others eliminated (Schur complement).
 
     Args:
         information: of all parameters, (p, p).
@@ -240,7 +240,7 @@ def eliminate_parameters(
     drop = np.setdiff1d(np.arange(information.shape[0]), keep)
     if not drop.size:
         return information
-    # A weak prior: a recording at rest does not determine its offset.
+    # A weak prior, because a recording at rest does not determine its offset.
     dropped_information = information[np.ix_(drop, drop)] + np.diag(1e-6 / prior_std[drop] ** 2)
     cross = information[np.ix_(keep, drop)]
     reduced = information[np.ix_(keep, keep)] - cross @ np.linalg.solve(

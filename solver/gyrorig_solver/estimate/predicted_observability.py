@@ -1,7 +1,7 @@
 """Observability before a fit, from the motion and the noise of the samples.
 
 The Fisher information of the samples about gain, bias and time offset follows from the reference
-motion and the noise of the sensor, and does not depend on the counts. Its rank test is that of the
+motion and the noise of the sensor. It does not depend on the counts. Its rank test is that of the
 estimator.
 """
 

@@ -1,9 +1,9 @@
-"""Prediction of the reference in one series: behind the sensor's low-pass, as block means.
+"""Prediction of the reference in one series: after the sensor's low-pass, as block means.
 
 The rate passes the low-pass on a fine grid, because the residual depends on it. The derivatives by
-the time offset and the reference's unknowns only direct and weight the fit, so they use a coarser
-grid. All of them use the same grid: a shift of every start equals a shift of the lag, and rounding
-must not separate the two.
+the time offset and the reference's unknowns only determine the steps and weights of the fit, so
+they use a coarser grid. All derivatives use the same grid: a shift of every start equals a shift of
+the lag, and rounding must not separate the two.
 
 What to use when: `predict_rate` for a part's rate; `predict_derivatives` for the derivatives.
 """
@@ -18,9 +18,9 @@ from gyrorig_solver.estimate.series import Series
 from gyrorig_solver.model.low_pass import LowPass, delay_distribution
 from gyrorig_solver.reference import ReferenceMotion
 
-FILTER_LEAD_S = 0.3  # a part starts this much earlier, for the filter to settle
+FILTER_LEAD_S = 0.3  # a part starts this much earlier, so that the filter reaches its steady state
 NOISE_MEMORY_S = 1.0  # columns of one row are twice this apart
-FILTER_MEMORY_S = 0.1  # the filter still responds to an unknown interval
+FILTER_MEMORY_S = 0.1  # the filter still responds to an unknown interval for this time
 MIN_COARSE_GRID_HZ = 250.0  # minimum rate of the derivatives' grid if the low-pass acts on it
 COARSE_PER_BANDWIDTH = 3.0
 TIME_STEP_S = 1e-5  # for the time derivative: ramps are linear except at their corners
@@ -30,7 +30,7 @@ TIME_STEP_S = 1e-5  # for the time derivative: ramps are linear except at their 
 class SampledRate:
     """The stage's rate at the sample instants of a part."""
 
-    rate: FloatArray  # (m, 3), behind the low-pass; zero where unknown
+    rate: FloatArray  # (m, 3), after the low-pass; zero if unknown
     known: BoolArray  # (m,)
 
 
@@ -47,9 +47,9 @@ class PartDerivatives:
 def predict_rate(
     series: Series, blocks: slice, reference: ReferenceMotion, lag_s: float
 ) -> SampledRate:
-    """Evaluate the reference `lag_s` before each sample, behind the low-pass.
+    """Evaluate the reference `lag_s` before each sample, after the low-pass.
 
-    Without a recorded bandwidth there is no filter, and the lag contains its whole delay.
+    Without a recorded bandwidth, no filter is applied, and the lag contains its whole delay.
     """
     samples_wanted = series.samples_of_blocks(blocks)
     lead_samples = min(samples_wanted.start, int(np.ceil(FILTER_LEAD_S / series.period_s)))
@@ -90,7 +90,8 @@ def _stage_rate(series: Series, reference: ReferenceMotion, edges_s: FloatArray)
     """Return the mean stage rate between edges, (n, 3).
 
     A series of means has no grid on which the low-pass could act. The mean of a filtered rate is
-    the weighted sum of means over delayed intervals. The fitted lag has the mean of the delays.
+    the weighted sum of means over delayed intervals. The fitted lag contains the mean of the
+    delays.
     """
     if not series.has_means or series.bandwidth_hz is None:
         return reference.evaluate(edges_s, derivatives=False).rate_rad_s
@@ -107,7 +108,7 @@ def predict_derivatives(
     """Return the derivatives of a part's block means by the reference's unknowns."""
     low_pass = low_pass_of(series)
     block_hz = 1.0 / (series.period_s * series.samples_per_block)
-    # Above the series' rate a low-pass is only a delay.
+    # Above the series' rate, a low-pass is only a delay.
     delay_s = 0.0
     if low_pass is not None and series.samples_per_block > 1 and low_pass.bandwidth_hz >= block_hz:
         delay_s, low_pass = low_pass.delay_s, None
@@ -126,7 +127,7 @@ def predict_derivatives(
         int(np.ceil(2.0 * (NOISE_MEMORY_S + FILTER_MEMORY_S) * rate_hz)),
     )
     shared, law = evaluated.shared, evaluated.law
-    del evaluated  # the columns are packed: both together need the most memory of a solve
+    del evaluated  # the columns are packed now; both together need the most memory of a solve
     coarse_low_pass = None if low_pass is None else LowPass(low_pass.bandwidth_hz, rate_hz)
 
     def to_blocks(signals: FloatArray) -> FloatArray:
@@ -170,7 +171,7 @@ def instants_per_block(series: Series) -> int:
 
 
 def _intervals_per_block(series: Series, block_hz: float) -> int:
-    """Return intervals per block; odd if a sample is an instant and not a mean."""
+    """Return the intervals per block; odd if a sample is an instant and not a mean."""
     min_rate_hz = max(
         MIN_COARSE_GRID_HZ, COARSE_PER_BANDWIDTH * (series.filter_bandwidth_hz or 0.0)
     )
@@ -179,7 +180,7 @@ def _intervals_per_block(series: Series, block_hz: float) -> int:
 
 
 def _time_derivative(reference: ReferenceMotion, edges_s: FloatArray) -> FloatArray:
-    """Return the derivative of the mean rates by a shift of the edges, zero where unknown."""
+    """Return the derivative of the mean rates by a shift of the edges, zero if unknown."""
     earlier, later = (
         reference.evaluate(edges_s + shift_s, derivatives=False).rate_rad_s
         for shift_s in (-TIME_STEP_S, TIME_STEP_S)
@@ -200,7 +201,7 @@ def _to_blocks(
         return signals
     if samples_per_block == 1:
         return signals[..., intervals_per_block // 2 :: intervals_per_block]
-    # Strided sums: a mean over such a short axis is ten times slower.
+    # Strided sums, because a mean over such a short axis is ten times slower.
     total = signals[..., ::intervals_per_block] + signals[..., 1::intervals_per_block]
     for k in range(2, intervals_per_block):
         total += signals[..., k::intervals_per_block]

@@ -1,10 +1,10 @@
 """A cross-check without timing: the rotation from rest to rest.
 
-Over a move from one rest to the next, the integral of the gyroscope must carry the stage from the
-first attitude to the second, whatever the exact times of the motion were. Neither a time offset nor
-the shape of the ramps affects it (a simulated offset of 20 ms costs this method 0 ppm). If it
-disagrees with the rate-domain fit, timing is the probable cause. It is less precise than the fit,
-and serves only as a check.
+Over a move from one rest to the next, the integral of the gyroscope must rotate the stage from the
+first attitude to the second, regardless of the exact times of the motion. A time offset or the
+shape of the ramps does not affect it (a simulated offset of 20 ms changes its result by 0 ppm). If
+it disagrees with the rate-domain fit, timing is the probable cause. It is less precise than the
+fit, and serves only as a check.
 """
 
 from collections.abc import Sequence
@@ -72,7 +72,7 @@ def cross_check(
 
     Args:
         paths: one per segment of the recording.
-        gain: G of the fit, shape (3, 3), where the rotations are linearised.
+        gain: G of the fit, shape (3, 3), at which the rotations are linearised.
         bias_rad_s: of the fit, shape (3,).
         observability: of the fit, with gain and bias first.
         density: the noise's one-sided density near 0.2 Hz, (rad/s)^2/Hz, worst axis.
@@ -169,8 +169,8 @@ def _linearise(
     attitude = prefix_products(turn_vectors(rate, turn.step_s))
     end = attitude[-1]
     rotation_residual = Rotation.from_matrix(end.T @ turn.reference_attitude).as_rotvec()
-    # A change dw of the rate over step k turns the end, in its own frame, by
-    # end' P_k dw dt; and w = G^-1 (y - b) gives dw = -G^-1 (dG w + db).
+    # A change dw of the rate over step k rotates the end, in its frame, by end' P_k dw dt; and w =
+    # G^-1 (y - b) gives dw = -G^-1 (dG w + db).
     before = np.concatenate([np.eye(3)[None], attitude[:-1]])
     carried = np.einsum("ji,kjl->kil", end, (attitude + before) / 2.0) @ inverse
     middle = (rate[1:] + rate[:-1]) / 2.0

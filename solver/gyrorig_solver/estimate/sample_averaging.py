@@ -1,9 +1,9 @@
-"""Means of consecutive samples, which bound memory and time of a fit to a long recording.
+"""Means of consecutive samples, which limit memory and time of a fit to a long recording.
 
-A fit needs several kB for each sample, so that a night would need many GB. The solver therefore
-replaces the samples of a long recording by means. The model of a mean is the mean rate between its
-edges, which is exact; the low-pass of the sensor acts as a distribution of delays. A mean lasts at
-least one period of the bandwidth. See decision 0079.
+A fit needs several kB for each sample, so that a recording of a night would need many GB. The
+solver therefore replaces the samples of a long recording by means. The model of a mean is the mean
+rate between its edges, which is exact; the low-pass of the sensor acts as a distribution of delays.
+A mean lasts at least one period of the bandwidth. See decision 0079.
 
 What to use when: `averaging_factor` for a recording, `average_samples` for each of its series.
 """
@@ -18,11 +18,11 @@ from gyrorig_solver.data.samples import GyroSamples
 
 MAX_SERIES_SAMPLES = 500_000  # 10 min at 800 Hz, 83 min at 100 Hz
 MAX_MEANS = 100_000
-MAX_FILLED_SAMPLES = 3  # in a row
+MAX_FILLED_SAMPLES = 3  # in sequence
 
 
 def averaging_factor(sample_count: int, rate_hz: float, bandwidth_hz: float | None) -> int:
-    """Return how many samples form one mean; 1 for a recording that is short enough."""
+    """Return the number of samples per mean; 1 for a recording that is short enough."""
     if sample_count <= MAX_SERIES_SAMPLES:
         return 1
     least = 1 if bandwidth_hz is None else math.ceil(rate_hz / bandwidth_hz)
@@ -30,7 +30,7 @@ def averaging_factor(sample_count: int, rate_hz: float, bandwidth_hz: float | No
 
 
 def mean_duration_s(samples: GyroSamples) -> float:
-    """Return how long each mean lasts that replaces the samples of a recording; 0 for none."""
+    """Return the duration of the means that replace the samples of a recording; 0 for none."""
     period_s = samples.period_s
     factor = averaging_factor(samples.number.size, 1.0 / period_s, samples.bandwidth_hz)
     return factor * period_s if factor > 1 else 0.0
@@ -41,8 +41,8 @@ def average_samples(
 ) -> tuple[FloatArray, FloatArray, BoolArray]:
     """Return times, sums of the raw rates and validity of the means.
 
-    A few invalid samples in a row are interpolated: without them, many means would be missing, and
-    the gaps would hide the slow noise. A mean with more of them is invalid.
+    A few successive invalid samples are interpolated. Otherwise many means would be missing, and
+    the gaps would hide the slow noise. A mean with more invalid samples is invalid.
 
     Args:
         time_s: of every sample number, (n,).
@@ -64,7 +64,7 @@ def average_samples(
 
 
 def _fill_short_gaps(raw: CountArray, good: BoolArray) -> tuple[CountArray, BoolArray]:
-    """Return samples with short gaps interpolated, and which are valid now."""
+    """Return samples with short gaps interpolated, and the new mask of valid samples."""
     if good.all() or not good.any():
         return raw, good
     edges = np.flatnonzero(np.diff(np.concatenate([[True], good, [True]]).astype(np.int8)))

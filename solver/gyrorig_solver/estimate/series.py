@@ -2,8 +2,8 @@
 
 Each segment between resets and long gaps becomes one series. Block means reduce 800 Hz to about 100
 Hz, which keeps the information in a trapezoid's ramps and makes a solve fast. A long recording is
-averaged further (`sample_averaging`), and long series are processed in parts, so that memory does
-not grow with their length.
+averaged further (`sample_averaging`). Long series are processed in parts, so that memory does not
+grow with their length.
 """
 
 from dataclasses import dataclass
@@ -23,7 +23,7 @@ SERIES_RATE_HZ = 100.0  # approximate rate of the block means; more for a wide l
 SERIES_RATE_PER_BANDWIDTH = 2.4  # a speed jump shows the time offset up to the bandwidth
 MIN_FINE_GRID_HZ = 500.0  # minimum rate of the fine grid; also five times the bandwidth
 MAX_GAP_S = 2.0  # a longer gap starts a new series
-MAX_SHARP_STD_S = 5e-5  # with a larger common shift a finer series adds nothing
+MAX_SHARP_STD_S = 5e-5  # with a larger common shift, a finer series adds no information
 MIN_GRID_SAMPLES = 1_000_000  # a grid of this length costs 40 MB
 MAX_GRID_RATIO = 4  # of the grid's length to the samples in it
 MIN_SERIES_BLOCKS = 64  # fewer give no useful spectrum
@@ -35,7 +35,7 @@ class Series:
     """One segment of samples on a uniform grid of sample numbers."""
 
     time_s: FloatArray  # (n,), of every sample number, including gaps
-    raw: CountArray  # (n, 3), counts or rates; undefined where missing
+    raw: CountArray  # (n, 3), counts or rates; undefined for missing samples
     good: BoolArray  # (n,)
     samples_per_block: int
     intervals_per_sample: int  # odd
@@ -45,7 +45,7 @@ class Series:
 
     @property
     def filter_bandwidth_hz(self) -> float | None:
-        """The bandwidth of the low-pass on the samples' grid; None if it is no filter there."""
+        """The bandwidth of the low-pass on the samples' grid; None if it does not filter there."""
         return None if self.has_means else self.bandwidth_hz
 
     @property
@@ -105,7 +105,7 @@ class Series:
         )
 
     def block_means(self, values: FloatArray, used: BoolArray) -> FloatArray:
-        """Return means over the used samples of each block, zero without any.
+        """Return means over the used samples of each block, zero without used samples.
 
         Args:
             values: of whole blocks, shape (m * samples_per_block, k).
@@ -180,11 +180,11 @@ def build_series(samples: GyroSamples, common_std_s: float = 0.0) -> tuple[list[
 
     Args:
         samples: of one board.
-        common_std_s: uncertainty of a common shift of the reference's time; if it is large, a finer
-            time offset is useless.
+        common_std_s: uncertainty of a common shift of the reference's time; if it is large, a more
+            accurate time offset is useless.
 
     Returns:
-        The series of at least `MIN_SERIES_BLOCKS` blocks, and how they were sampled.
+        The series of at least `MIN_SERIES_BLOCKS` blocks, and their sampling.
     """
     period_s = samples.period_s
     rate_hz = 1.0 / period_s

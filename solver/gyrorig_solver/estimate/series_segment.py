@@ -17,8 +17,8 @@ from gyrorig_solver.estimate.noise.relative_std import mean_white_power
 from gyrorig_solver.estimate.whitened_signals import ChannelRows
 from gyrorig_solver.model import AxisBiases, Signals, SignalState
 
-ROWS_PER_BATCH = 4  # that a cache holds
-SAMPLES_LOOKED_AT = 64  # that show that a signal is not zero
+ROWS_PER_BATCH = 4  # number of rows that fit into a cache
+SAMPLES_LOOKED_AT = 64  # number of samples that are tested for a value other than zero
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,7 +84,7 @@ class SeriesSegment:
 
 
 class SignalWhitener:
-    """Whitens signals of a segment that come one after the other, some rows at a time."""
+    """Whitens signals of a segment that arrive in sequence, some rows at a time."""
 
     def __init__(
         self,
@@ -92,7 +92,7 @@ class SignalWhitener:
         capacity: int,
         precision: type[np.float32] | type[np.float64] = np.float64,
     ) -> None:
-        """Make room for as many signals as `capacity`."""
+        """Allocate memory for `capacity` signals."""
         self._segment, self._count = segment, 0
         self._rows: list[list[RealArray]] = [
             [np.empty((capacity, used.size), precision) for used in segment.used] for _ in range(3)

@@ -1,7 +1,7 @@
 """The state of one series in a fit: block means of samples and prediction, without outliers.
 
 What to use when: `SeriesState.empty`, then `predict_coarsely` or `set_block_means` for each part;
-`reject_outliers` decides again which samples of a part are outliers.
+`reject_outliers` to determine again which samples of a part are outliers.
 """
 
 from dataclasses import dataclass, replace
@@ -31,14 +31,14 @@ class PredictedPart:
 
     measured: FloatArray  # (samples, 3)
     rate: FloatArray  # (samples, 3), stage
-    usable: BoolArray  # (samples,), outliers included
+    usable: BoolArray  # (samples,), including outliers
     effect: FloatArray | None  # (blocks, 3), of causes beyond the base model, sensor frame
-    timing_sensitive: BoolArray | None = None  # (blocks,), not usable because of the causes
+    timing_sensitive: BoolArray | None = None  # (blocks,), unusable because of the causes
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FitValues:
-    """The values of a fit that the prediction depends on, besides its causes."""
+    """The values of a fit that the prediction depends on, in addition to its causes."""
 
     lag_s: float
     gain: FloatArray  # (3, 3)
@@ -112,7 +112,7 @@ class SeriesState:
         return residual if self.used.all() else np.where(self.used[:, None], residual, 0.0)
 
     def inliers(self, gain: FloatArray, bias_rad_s: FloatArray, quantum_rad_s: float) -> BoolArray:
-        """Return which used blocks a gain explains, within the limit of an outlier, (n,)."""
+        """Return which used blocks a gain explains within the limit of an outlier, (n,)."""
         residual = self.measured - self.rate @ gain.T - bias_rad_s
         return self.used & ~find_outliers(residual, self.used, quantum_rad_s)
 
@@ -140,10 +140,10 @@ class SeriesState:
             self.used[blocks] = series.used_blocks(used)
 
     def set_block_means(self, blocks: slice, part: PredictedPart, keep_left_out: bool) -> None:
-        """Set the block means of a part, without the outliers.
+        """Set the block means of a part without its outliers.
 
-        `keep_left_out`: blocks that were left out because of the causes stay left out. Two sets of
-        blocks that lead to each other would follow without an end.
+        `keep_left_out`: blocks that were left out because of the causes stay left out. Otherwise,
+        the fit could alternate between two sets of blocks without an end.
         """
         series = self.series
         left_out = self.timing_sensitive[blocks]
@@ -167,13 +167,13 @@ class SeriesState:
         quantum_rad_s: float,
         keeps_rejected: bool,
     ) -> None:
-        """Decide again which samples of a part are outliers.
+        """Determine again which samples of a part are outliers.
 
         Args:
             blocks: of the part.
             part: its samples and their prediction.
-            values: of the fit; what an impulse of pan or tilt explains is no outlier.
-            relative_std: of the noise; None: the same everywhere.
+            values: of the fit; samples that an impulse of pan or tilt explains are not outliers.
+            relative_std: of the noise; None: the same at all times.
             quantum_rad_s: one count.
             keeps_rejected: outliers stay outliers.
         """

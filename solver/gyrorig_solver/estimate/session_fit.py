@@ -1,8 +1,8 @@
 """The state of one recording in a fit: samples, reference, bias and lag.
 
-`likelihood_fit` holds what several recordings of a board have in common (gain, terms). Everything
-that belongs to one recording is here, so that recordings are processed one after the other and only
-sums are combined.
+`likelihood_fit` has the values that several recordings of a board share (gain, terms). This module
+has the state of one recording, so that recordings are processed in sequence and only sums are
+combined.
 """
 
 from collections.abc import Iterator, Sequence
@@ -77,13 +77,11 @@ class SessionFit:
         self._signal_states = SignalStateCache(context)
         self._cached_equations: CachedNormalEquations | None = None
         self._predicted_parts: dict[tuple[int, int], PredictedPart] = {}
-        self._used_before: list[BoolArray] = []  # of the last prediction but one
+        self._used_before: list[BoolArray] = []  # before the last prediction
         self.keeps_rejected = False  # whether outliers stay outliers
-        self.has_new_derivatives = True  # whether they belong to the current values
+        self.has_new_derivatives = True  # whether the derivatives belong to the current values
         self.equation_noise: NoiseModel | None = None  # of the last normal equations
         self._weights = MotionWeights()
-
-    # ---- current state
 
     @property
     def series(self) -> list[Series]:
@@ -97,12 +95,12 @@ class SessionFit:
 
     @property
     def common_std_s(self) -> float:
-        """The standard deviation of a common time shift that the recording cannot show."""
+        """The standard deviation of a common time shift that the recording cannot determine."""
         return float(np.hypot(self.reference.common_shift_std_s, self._timestamp_std_s))
 
     @property
     def time_offset_s(self) -> float:
-        """The whole lag, including the delay of the low-pass."""
+        """The total lag, including the delay of the low-pass."""
         return self.lag_s + low_pass_delay_s(self._series_states[0].series)
 
     @property
@@ -136,11 +134,7 @@ class SessionFit:
         return sum(series_state.outlier_count for series_state in self._series_states)
 
     def residuals(self, gain: FloatArray) -> list[FloatArray]:
-        """Return measured minus modelled rates, zero where unused, (n, 3) per series.
-
-        Args:
-            gain: G, shape (3, 3).
-        """
+        """Return measured minus modelled rates at G (3, 3), 0 where unused, (n, 3) per series."""
         return [
             series_state.residual(gain, self.bias_rad_s, with_effect=bool(self.fitted_terms))
             for series_state in self._series_states
@@ -157,7 +151,7 @@ class SessionFit:
         return self._weights.motion_noise
 
     def relative_std(self, series_index: int, blocks: slice) -> RelativeStd | None:
-        """The noise of a part relative to that at rest; None: the same everywhere."""
+        """The noise of a part relative to that at rest; None: the same at all times."""
         return self._weights.relative_std(series_index, blocks)
 
     def whitened_residuals(self, gain: FloatArray, noise: NoiseModel) -> list[FloatArray]:
@@ -191,10 +185,10 @@ class SessionFit:
         return other
 
     def started_from(self, other: "SessionFit") -> "SessionFit":
-        """Return these samples, started at the end of another fit of the same recording.
+        """Return these samples with the start values of another fit of the same recording.
 
         Args:
-            other: provides bias, lag, motion and outliers, but not the samples.
+            other: has bias, lag, motion and outliers; its samples are not used.
         """
         started = self.copy()
         started.bias_rad_s, started.lag_s = other.bias_rad_s, other.lag_s
@@ -220,10 +214,8 @@ class SessionFit:
                 yield series_index, blocks, model, coarse_state, exact_state
 
     def take_motion_noise(self, motion_noise: MotionNoise | None) -> None:
-        """Weight the samples in motion as another recording's, at the present motion."""
+        """Use the noise in motion of another recording for the weights, at the present motion."""
         self._weights = MotionWeights.of(motion_noise, self._series_states)
-
-    # ---- steps of a fit
 
     def estimate_lag(self) -> None:
         """Estimate the lag by the correlation of measured and reference speed."""
@@ -240,7 +232,7 @@ class SessionFit:
             )
 
     def inlier_masks(self, gain: FloatArray) -> list[BoolArray]:
-        """Return which used blocks a gain explains, within the limit of an outlier."""
+        """Return which used blocks a gain explains within the limit of an outlier."""
         return [
             series_state.inliers(gain, self.bias_rad_s, self.sampling.quantum_rad_s)
             for series_state in self._series_states
@@ -259,15 +251,15 @@ class SessionFit:
         Args:
             gain: G, shape (3, 3), for the outlier detection.
             detect_outliers: repeat the outlier detection.
-            new_derivatives: compute new derivatives too.
+            new_derivatives: also compute new derivatives.
         """
         self.predict(gain, keep_samples=detect_outliers)
         self.complete_prediction(gain, detect_outliers, new_derivatives)
 
     def predict(self, gain: FloatArray, keep_samples: bool = False) -> None:
-        """Compute the prediction at the current lag and reference, with the outliers as they are.
+        """Compute the prediction at the current lag and reference, with the current outliers.
 
-        `keep_samples`: keep what an outlier detection needs.
+        `keep_samples`: keep the data that an outlier detection needs.
         """
         self.reference = follow_law(self.reference, self.fitted_terms)
         self._used_before = [series_state.used.copy() for series_state in self._series_states]
@@ -342,13 +334,13 @@ class SessionFit:
         return total
 
     def release_caches(self) -> None:
-        """Free signal states and derivatives, which are computed again when they are needed."""
+        """Free signal states and derivatives, which can be computed again."""
         self._signal_states.clear()
         self._models.clear()
         self._cached_equations = None
 
     def release_equations(self) -> None:
-        """Free the normal equations: only further iterations would need them."""
+        """Free the normal equations, which only further iterations would need."""
         self._cached_equations = None
 
     def update_motion_noise(self, gain: FloatArray, noise: NoiseModel) -> bool:
@@ -358,7 +350,7 @@ class SessionFit:
             gain: G, shape (3, 3).
             noise: at rest.
         """
-        if self.sampling.differentiated:  # the reference's own noise is larger in motion
+        if self.sampling.differentiated:  # the noise of the reference is larger in motion
             return False
         before = self._weights
         self._weights = before.updated(self._series_states, self.residuals(gain), noise)
@@ -402,7 +394,7 @@ class SessionFit:
         )
         model = build_part_model(series_state, blocks, columns, self.fitted_terms, state, gain)
         model = replace(model, relative_std=relative_std)
-        # The parts of a long series are computed again when needed, to save memory.
+        # The state of a part of a long series is computed again if needed, to save memory.
         if series_state.series.block_count <= 2 * PART_BLOCKS:
             self._models[key] = model
         return model

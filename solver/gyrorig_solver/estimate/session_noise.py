@@ -1,6 +1,6 @@
 """The noise of one recording at rest, from the spectrum of its residual.
 
-What to use when: `fit_session_noise` at a fit; `session_periodograms` for the spectrum alone.
+What to use when: `fit_session_noise` at a fit; `session_periodograms` for only the spectrum.
 """
 
 from dataclasses import dataclass
@@ -36,8 +36,8 @@ class SessionNoise:
 def session_periodograms(session: SessionFit, gain: FloatArray) -> tuple[list[Periodogram], str]:
     """Return the residual's periodograms, and a description of the part they use.
 
-    Unmodelled motion would look like noise. If there are enough rests, the frequencies that
-    they resolve come from the rests only.
+    Unmodelled motion would look like noise. If there are enough rests, the frequencies that they
+    resolve come only from the rests.
     """
     segments = [
         ResidualSegment(residual, used, moving, series.part_slices(), relative_variance)
@@ -64,7 +64,7 @@ def fit_session_noise(
     Args:
         session: the recording.
         gain: G, shape (3, 3).
-        sampling: how the residual was sampled.
+        sampling: of the residual.
         initial_levels: (3, 4), from a previous fit.
     """
     periodograms, source = session_periodograms(session, gain)
@@ -78,7 +78,7 @@ def fit_session_noise(
     differences = RestDifferences.of(residuals, at_rest)
     high_differences = RestDifferences.of(residuals, at_rest, DIFFERENCE_ORDER)
     with_floor = add_noise_floor(noise, spectrum, high_differences)
-    # A floor is a part of the noise at rest. Without it, the white noise there seems too large.
+    # A floor is a part of the noise at rest. Without it, the white noise at rest seems too large.
     if limit_to_rest(with_floor, differences) is not with_floor:
         return SessionNoise(limit_to_rest(noise, differences), spectrum, source)
     return SessionNoise(with_floor, spectrum, source)

@@ -1,4 +1,4 @@
-"""Shared parameters: values of unit-wide causes that all boards on the unit have in common.
+"""Shared parameters: values of unit-wide causes that are equal for all boards on the unit.
 
 `parameter_layout` makes one unknown of them instead of one per board.
 
@@ -27,10 +27,10 @@ from gyrorig_solver.estimate.parameter_layout import (
 from gyrorig_solver.model import Term
 from gyrorig_solver.numerics import chi2_upper_tail
 
-MIN_RELATIVE_INFORMATION = 1e-9  # of the strongest direction: less information is ignored
+MIN_RELATIVE_INFORMATION = 1e-9  # relative to the strongest direction; less information is ignored
 
 
-# Below this p-value, a cause of the unit is one of each board's mount instead. Boards that
+# Below this p-value, a cause of the unit is treated as a cause of each board's mount. Boards that
 # differ by less have a common value whose uncertainty is at most 2.6 times too small (two boards).
 MIN_HOMOGENEITY_P = 0.01
 
@@ -43,12 +43,12 @@ def is_unit_cause(term: Term) -> bool:
 def average_shared_values(
     solutions: Sequence[ConvergedFit], shared_labels: Collection[str]
 ) -> list[list[FittedTerm]]:
-    """Return each board's terms, the unit-wide ones at the weighted mean of the boards.
+    """Return each board's terms, with the unit-wide terms at the weighted mean of the boards.
 
     Priors from other boards are removed, because the joint fit has their data.
 
     Args:
-        solutions: each board's own fit.
+        solutions: separate fit of each board.
         shared_labels: of the unit-wide causes.
     """
     weights: dict[TermKey, FloatArray] = {}
@@ -84,12 +84,12 @@ def average_shared_values(
 def homogeneity_p_values(
     solutions: Iterable[ConvergedFit], shared_labels: Collection[str]
 ) -> dict[str, float]:
-    """Return the p-value that the boards have one value, by label of each unit-wide cause.
+    """Return the p-value that the boards have the same value, by label of each unit-wide cause.
 
     A cause with a prior from other boards is left out: its estimates are not independent.
 
     Args:
-        solutions: each board's own fit.
+        solutions: separate fit of each board.
         shared_labels: of the unit-wide causes.
     """
     estimates: dict[TermKey, list[tuple[FloatArray, FloatArray]]] = {}
@@ -142,7 +142,7 @@ def shared_term_p_value(
         prior_std: of these parameters, (p,).
         is_shared: which of them are unit-wide, (p,).
 
-    Source: score test (Rao 1948) of the shared values, the board's own parameters eliminated.
+    Source: score test (Rao 1948) of the shared values, with the board's parameters eliminated.
     """
     if not is_shared.any():
         return 1.0

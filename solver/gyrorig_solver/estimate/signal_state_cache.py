@@ -1,4 +1,4 @@
-"""The signal states of a recording's series at the current values of a fit, the latest ones kept.
+"""Signal states of a recording's series at the current values of a fit, cached if recent.
 
 What to use when: `SignalStateCache.state` for one part of a series.
 """
@@ -15,7 +15,7 @@ from gyrorig_solver.reference import ReferenceMotion
 
 
 class SignalStateCache:
-    """Builds signal states. Fit, derivatives and search all need the latest ones."""
+    """Builds signal states, and caches the latest ones for fit, derivatives and search."""
 
     def __init__(self, context: RecordingContext | None) -> None:
         """Start without states; `context`: facts that causes beyond the base model need."""
@@ -39,8 +39,8 @@ class SignalStateCache:
             series: one of the recording.
             blocks: of the part.
             values: of the fit.
-            exact: if a block is one sample, use the samples' own fine grid, on which corners of a
-                few milliseconds are visible. Otherwise use a coarse grid, good for derivatives.
+            exact: if a block is one sample, use the samples' fine grid, on which corners of a few
+                milliseconds are visible. Otherwise use a coarse grid, sufficient for derivatives.
         """
         key = id(series), blocks.start, exact
         if key in self._states and self._states[key][0].equals(values):

@@ -1,8 +1,8 @@
-"""The order of a temperature polynomial, by cross-validation over windows.
+"""Order of a temperature polynomial, by cross-validation over windows.
 
-A cubic fitted over a few kelvin is useless outside them. Below 10 K no temperature term is used.
-Above, the order is the lowest whose prediction of held-out windows is as good as the best, within
-one standard error.
+A cubic that is fitted over a few kelvin is useless outside them. Below 10 K, no temperature term is
+used. Above, the order is the lowest whose prediction of held-out windows is as good as the best,
+within one standard error.
 """
 
 from collections.abc import Sequence
@@ -58,11 +58,11 @@ def choose_order(
 
 
 def _held_out_squares(temperature_k: FloatArray, bias: FloatArray, order: int) -> FloatArray:
-    """Return each window's mean squared error by the others' polynomial, (w,)."""
+    """Return each window's mean squared error by the polynomial of the others, (w,)."""
     windows = temperature_k.size
     normalised = (temperature_k - np.mean(temperature_k)) / max(float(np.ptp(temperature_k)), 1e-9)
     design = normalised[:, None] ** np.arange(order + 1)
-    # Interleaved folds by temperature, so that every fold lies inside the range.
+    # Interleaved folds by temperature, so that every fold is inside the range.
     fold = np.empty(windows, dtype=np.int64)
     fold[np.argsort(normalised, kind="stable")] = np.arange(windows) % FOLDS
     squares = np.empty(windows)

@@ -3,7 +3,7 @@
 A problem proposes a step from its quadratic model and evaluates its objective (negative
 log-likelihood plus priors, at fixed noise) after the step. The gain ratio is the actual decrease
 divided by the predicted one. A step with a poor ratio is rejected and tried again with new
-derivatives or with more damping. Without damping the step is the full Gauss-Newton step.
+derivatives or with more damping. Without damping, the step is the full Gauss-Newton step.
 
 What to use when: `minimise` for a fit that implements `TrustRegionProblem`.
 
@@ -21,20 +21,21 @@ from gyrorig_protocol.errors import InputError
 from gyrorig_solver.data import FloatArray
 
 CONVERGED_SIGMA = 1e-2  # of the last step
-STEP_SHRINKAGE = 0.1  # after a step that shrank by this factor the next one is negligible
+STEP_SHRINKAGE = 0.1  # after a step that is smaller by this factor, the next one is negligible
 NEGLIGIBLE_NATS = 1e-3  # of predicted decrease
 INSIGNIFICANT_NATS = 3.0  # of predicted decrease: a step of two standard deviations or less
 MAX_INCREASE_NATS = 20.0  # of the objective by all steps with insignificant predicted decreases
-LATE_EVALUATIONS = 20  # later, such a step may not increase the objective by more than it promises
+LATE_EVALUATIONS = 20  # later, such a step increases the objective by at most INSIGNIFICANT_NATS
 MIN_GAIN_RATIO = 0.05  # a step with a lower ratio is rejected
 REFRESH_GAIN_RATIO = 0.25  # a step with a lower ratio renews the derivatives
 GOOD_GAIN_RATIO = 0.75  # a step with a higher ratio reduces the damping
 FIRST_DAMPING, MIN_DAMPING, MAX_DAMPING = 1e-2, 1e-4, 1e6  # of the diagonal of the information
 DAMPING_FACTOR = 10.0
-# Small steps in one direction that shrink slowly are extrapolated (Aitken) after this many.
+# Small steps in one direction that decrease slowly are extrapolated (Aitken) after this many.
 PLAIN_EVALUATIONS = 12
 MIN_SHRINKAGE, MAX_SHRINKAGE, MIN_COSINE = 0.3, 0.95, 0.9
-CYCLE_DIFFERENCE = 1e-4  # of two full steps, relative: then the second one starts a cycle
+# relative, of two full steps; with a smaller one, the second step starts a cycle
+CYCLE_DIFFERENCE = 1e-4
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -64,11 +65,11 @@ class ProposedStep:
 
 @dataclass(frozen=True, slots=True)
 class Convergence:
-    """How an iteration ended."""
+    """The end of an iteration."""
 
     converged: bool
     evaluations: int  # of the objective
-    remaining_nats: float  # decrease that one more full step would bring, as predicted
+    remaining_nats: float  # predicted decrease of one more full step
     moving: str = ""  # parameter with the largest last step; empty after convergence
     moving_sigma: float = 0.0  # that step in standard deviations
 
@@ -134,15 +135,16 @@ def minimise(
     Args:
         problem: at its start values.
         max_evaluations: limit on the evaluations of the objective.
-        trust_shrinkage: whether a step that shrank much is the last one, before it is small.
-        always_renew: compute new derivatives after each step, although the last ones may do, and
-            accept no step that increases the objective.
+        trust_shrinkage: whether a step that became much smaller is the last one, before it is
+            small.
+        always_renew: compute new derivatives after each step, even if the last ones are sufficient,
+            and accept no step that increases the objective.
     """
     shrinkage_limit = STEP_SHRINKAGE if trust_shrinkage else 0.0
     damping, previous_sigma, was_accepted = 0.0, np.inf, True
     previous: ProposedStep | None = None
     lost = 0.0  # increase of the objective since its lowest value, nats
-    undamped: list[FloatArray] = []  # the full steps that were accepted one after the other
+    undamped: list[FloatArray] = []  # the full steps that were accepted in sequence
     full = problem.propose(0.0)
     for evaluation in range(max_evaluations):
         is_late = evaluation >= LATE_EVALUATIONS
@@ -166,7 +168,8 @@ def minimise(
             previous_sigma = full.size_sigma if proposal is full else np.inf
             before, full = full.predicted_decrease, problem.propose(0.0)
             if max(before, full.predicted_decrease) < INSIGNIFICANT_NATS:
-                ratio = 1.0 if full.predicted_decrease < before else 0.0  # the steps shrink or not
+                # whether the steps become smaller
+                ratio = 1.0 if full.predicted_decrease < before else 0.0
             if ratio > GOOD_GAIN_RATIO:
                 damping = damping / DAMPING_FACTOR if damping > MIN_DAMPING else 0.0
         if ratio < REFRESH_GAIN_RATIO:
@@ -182,11 +185,11 @@ def minimise(
 def _is_negligible(
     full: ProposedStep, previous_sigma: float, shrinkage_limit: float, is_late: bool
 ) -> bool:
-    """Return whether a full step, and those that would follow, change nothing.
+    """Return whether a full step, and those that would follow, are negligible.
 
     Successive steps shrink by a factor, and their predicted decreases by its square. Late in a fit,
-    small steps that do not shrink follow a derivative that the objective does not have: where the
-    stage comes to lie in a gap, for example, it changes by whole intervals of the grid.
+    small steps that do not shrink follow a derivative that the objective does not have. For
+    example, if the stage comes to rest in a gap, the contact changes by whole grid intervals.
     """
     size = full.size_sigma
     shrinkage = size / previous_sigma if 0.0 < previous_sigma < np.inf else 1.0
@@ -197,15 +200,15 @@ def _is_negligible(
 
 
 def _leads_back(full: ProposedStep, previous: list[FloatArray], restarts: bool) -> bool:
-    """Return whether a full step is one of the previous ones again; add it to them.
+    """Return whether a full step repeats one of the previous ones; add it to them.
 
-    After each step the noise levels and the outliers are those of the new values. Where a model
-    misses much, they can lead back: each step decreases the objective, and none is the last.
+    After each step, the noise levels and the outliers are those of the new values. If a model has a
+    large misfit, they can lead back: each step decreases the objective, and no step is the last.
 
     Args:
         full: the step.
-        previous: the full steps that were accepted one after the other, in standard deviations.
-        restarts: whether the last step was another one; steps that are small are not judged.
+        previous: the full steps that were accepted in sequence, in standard deviations.
+        restarts: whether the last step was damped or rejected. Small steps are not compared.
     """
     if restarts or full.predicted_decrease < INSIGNIFICANT_NATS:
         previous.clear()
@@ -217,7 +220,7 @@ def _leads_back(full: ProposedStep, previous: list[FloatArray], restarts: bool) 
 
 
 def _extrapolate(full: ProposedStep, previous: ProposedStep) -> ProposedStep:
-    """Return the sum of all steps that would follow if they kept shrinking as the last two did.
+    """Return the sum of all steps that would follow if they shrank as the last two did.
 
     Derivatives with small errors make the steps shrink by a constant factor.
     """
@@ -230,9 +233,9 @@ def _extrapolate(full: ProposedStep, previous: ProposedStep) -> ProposedStep:
 
 
 def _allowed_increase(is_strict: bool, evaluation: int, lost: float) -> float:
-    """Return by how much a step may increase the objective, nats.
+    """Return the increase of the objective that a step may cause, nats.
 
-    Strictly, by nothing: at a threshold, two steps can lead back to each other.
+    With `is_strict` it is negligible, because at a threshold two steps can alternate.
     """
     if is_strict:
         return NEGLIGIBLE_NATS
@@ -243,9 +246,9 @@ def _gain_ratio(decrease: float, predicted: float, allowed_increase: float) -> f
     """Return the actual decrease divided by the predicted one; 1 if both are insignificant.
 
     Derivatives have small errors, whose effect on the gradient grows with the misfit. Near the
-    optimum of a model that misses a cause, they hide the decrease that a step brings. Such a step
-    may increase the objective by less than `allowed_increase`. Late in a fit that is little: two
-    points that lead to each other would follow without an end.
+    optimum of a model that lacks a cause, these errors hide the decrease of a step. Such a step may
+    increase the objective by less than `allowed_increase`. Late in a fit this limit is small,
+    because the fit could alternate between two points without an end.
     """
     if not np.isfinite(decrease):
         return -np.inf

@@ -1,14 +1,14 @@
-"""The fit of gain columns and bias to turns by known angles.
+"""Fit of gain columns and bias to turns by known angles.
 
 What to use when: `fit_turns` for one board in one or more recordings with `turn` phases. Rests can
 be in the same recording or in another one of the same board.
 
 Theory of operation. The integral of y - b over a turn about an axis that is fixed in the stage
 frame is G times axis times angle, at any speed. Each turn therefore gives three linear equations in
-a column of G, and each rest three in b. Uncertain are the angle (as stated), the direction of the
-axis (a table edge is not a spindle: `AXIS_STD_RAD` unless stated otherwise, which tilts the column
-but does not change its length), and the bias during the turn. A turn has no information about the
-columns perpendicular to its axis.
+a column of G, and each rest three in b. Three quantities are uncertain: the angle (as stated), the
+direction of the axis, and the bias during the turn. The axis at a table edge is less accurate than
+a spindle; `AXIS_STD_RAD`, unless stated otherwise, tilts the column but does not change its length.
+A turn has no information about the columns perpendicular to its axis.
 """
 
 from collections.abc import Sequence
@@ -57,7 +57,7 @@ REASON_TEXTS = {
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _IntegratedTurn:
-    """One turn as the gyro measured it."""
+    """One turn as measured by the gyro."""
 
     recording: int
     turn: KnownTurn
@@ -72,7 +72,7 @@ def fit_turns(recordings: Sequence[tuple[GyroSamples, TurnReference]]) -> GyroFi
         recordings: samples and phases of each recording of the board.
 
     Returns:
-        The fit; columns of G without a turn are not given.
+        The fit; it has no columns of G without a turn.
 
     Raises:
         InputError: there is no turn or no rest, or they have no samples.
@@ -162,7 +162,7 @@ def _integrate(recording: int, samples: GyroSamples, turn: KnownTurn) -> _Integr
             "check the board's supply and cable, and record the turn again",
         )
     time_s, rate = samples.time_s[index], samples.rate_rad_s[index]
-    # Half a period more at both ends: n samples represent n periods.
+    # Half a period is added at both ends, because n samples represent n periods.
     integral = np.trapezoid(rate, time_s, axis=0) + 0.5 * samples.period_s * (rate[0] + rate[-1])
     return _IntegratedTurn(
         recording, turn, integral, float(time_s[-1] - time_s[0]) + samples.period_s
@@ -179,7 +179,7 @@ def _rest_mean(samples: GyroSamples, interval: TimeInterval) -> FloatArray:
             "make the rest longer, or remove it from the motion program or the import map",
         )
     median = np.median(rate, axis=0)
-    # Not the median absolute deviation, which is 0 if most samples have the same count.
+    # The median absolute deviation would be 0 if most samples have the same count.
     low, high = np.percentile(rate, (5.0, 95.0), axis=0)
     spread = (high - low) / 3.29 + samples.quantum_rad_s
     inliers = np.all(np.abs(rate - median) < 6.0 * spread, axis=1)
@@ -196,8 +196,8 @@ class _TurnSolver:
 
         Args:
             integrated_turns: of all recordings.
-            rests: mean rates of each recording's rests, (n, 3). A recording without a rest has the
-                bias of the others, with its scatter.
+            rests: mean rates of each recording's rests, (n, 3). A recording without a rest gets the
+                bias of the others, with their scatter.
         """
         self._integrated_turns = integrated_turns
         pooled = np.concatenate(rests)
@@ -215,7 +215,7 @@ class _TurnSolver:
         return np.concatenate([self._gain.ravel(), self._biases[-1], [0.0]])
 
     def run(self) -> None:
-        """Solve, with the weights of the last gain."""
+        """Solve with the weights of the last gain."""
         for _ in range(MAX_ITERATIONS):
             information, score = self._normal_equations()
             step = (

@@ -2,7 +2,8 @@
 
 If the whitened residual in motion is larger than noise explains, the model is incomplete, and the
 uncertainties from noise alone are too small. The covariance is then multiplied by the reduced
-chi-square (Birge ratio). The uncertainty of a common time shift has another origin and is kept.
+chi-square (Birge ratio). The uncertainty of a common time shift has another origin and is not
+changed.
 
 Source: R. T. Birge, The Calculation of Errors by the Method of Least Squares, Phys. Rev. 40 (1932).
 """
@@ -34,14 +35,14 @@ def reduced_chi2(solution: ConvergedFit) -> float:
 def widen_uncertainty(solution: ConvergedFit) -> tuple[ConvergedFit, float]:
     """Return the fit with its covariance multiplied by the chi-square in motion, and the factor.
 
-    The factor is 1, unless the mean squared whitened residual in motion exceeds 1 significantly.
+    The factor is 1 unless the mean squared whitened residual in motion is significantly above 1.
     """
     power, moving, at_rest = _whitened_power(solution)
     counts = 3.0 * np.array([moving.sum(), at_rest.sum()])
     if counts.min() < 3.0 * MIN_VALUES:
         return solution, 1.0
     factor = float(np.mean(power[moving])) / 3.0
-    std = float(np.sqrt(2.0 * np.sum(1.0 / counts)))  # the levels have an uncertainty, too
+    std = float(np.sqrt(2.0 * np.sum(1.0 / counts)))  # the levels also have an uncertainty
     if factor - 1.0 < max(MIN_EXCESS, normal_quantile(FALSE_ALARM) * std):
         return solution, 1.0
     widened = replace(
@@ -63,7 +64,7 @@ def _multiply(
     covariance = factor * analysis.covariance
     if analysis.is_observable(TIME_OFFSET):
         covariance[TIME_OFFSET, TIME_OFFSET] -= (factor - 1.0) * session.common_std_s**2
-    # Both parts grow alike, so that the same parameters stay observable.
+    # Both parts grow by the same factor, so that the same parameters stay observable.
     return replace(
         analysis,
         covariance=covariance,

@@ -1,10 +1,10 @@
 """Whitened signals by channel: only rows that are not zero.
 
-A channel is one sensor axis of one part of a series. Many causes act on one axis only, so that
-most of their rows would be zero. Rows of hundreds of signals have single precision: an error of
-1e-7 of a signal is far below its noise. Their products have double precision.
+A channel is one sensor axis of one part of a series. Many causes act on one axis only, so that most
+of their rows would be zero. Rows of hundreds of signals have single precision: an error of 1e-7 of
+a signal is far below its noise. Their products have double precision.
 
-What to use when: `SeriesSegment.whiten` makes the rows, `WhitenedSignals` holds those of all
+What to use when: `SeriesSegment.whiten` for the rows, `WhitenedSignals` for the rows of all
 channels; `join_signals` for more signals, `join_channels` for more channels.
 """
 
@@ -34,7 +34,7 @@ class WhitenedSignals:
 
     @classmethod
     def of_dense(cls, signals: FloatArray, lengths: Sequence[int]) -> Self:
-        """Return signals (k, all) as they are, with zeros; `lengths`: of each channel."""
+        """Return signals (k, all) unchanged, with zeros; `lengths`: of each channel."""
         every = np.arange(len(signals))
         parts = np.split(signals, np.cumsum(lengths)[:-1], axis=1)
         return cls(len(signals), tuple(ChannelRows(every, part) for part in parts))
@@ -45,7 +45,7 @@ class WhitenedSignals:
         return sum(channel.rows.size for channel in self.channels)
 
     def dense(self) -> FloatArray:
-        """Return all values, one channel after the other, (k, all)."""
+        """Return all values, with the channels in sequence, (k, all)."""
         signals = np.zeros((self.count, sum(channel.rows.shape[1] for channel in self.channels)))
         first = 0
         for channel in self.channels:
@@ -56,7 +56,7 @@ class WhitenedSignals:
 
 
 def join_signals(groups: Sequence[WhitenedSignals]) -> WhitenedSignals:
-    """Return several groups of signals of the same channels, one after the other."""
+    """Return several groups of signals of the same channels, in sequence."""
     if len(groups) == 1:
         return groups[0]
     first = np.cumsum([0, *(group.count for group in groups)])

@@ -19,7 +19,8 @@ from gyrorig_solver.export.export_source import ExportSource, comment_lines, quo
 
 _INT16_LIMIT = 32768
 _INT32_LIMIT = 2**31 - 1
-_FULL_SCALE_HEADROOM = 1.2  # sensors read above their nominal full scale: L3G4200D +-287 at "250"
+# sensors read above their nominal full scale: an L3G4200D +-287 deg/s at "250"
+_FULL_SCALE_HEADROOM = 1.2
 _RANDOM_VECTORS = 8
 _FLOAT_ULP = 2.0**-24  # half a unit in the last place of the float 1
 _MAX_SHIFT = 30  # 30 integer bits and 30 fraction bits fit in 62
@@ -32,7 +33,7 @@ class FixedPoint:
     matrix: IntArray  # (3, 3)
     offset: tuple[int, int, int]  # 64 bits
     shift: int
-    fraction_bits: int  # rates are in steps of 2^-point rad/s
+    fraction_bits: int  # rates are in steps of 2^-fraction_bits rad/s
 
     @classmethod
     def of(cls, matrix: FloatArray, offset: FloatArray, limit: int) -> "FixedPoint":
@@ -52,7 +53,7 @@ class FixedPoint:
         return cls(scaled, (whole[0], whole[1], whole[2]), shift, fraction_bits)
 
     def rates(self, counts: Sequence[int]) -> list[int]:
-        """Return the result of the C code, in its steps, with unlimited integers."""
+        """Return the result of the C code, in steps, computed with unlimited integers."""
         half = (1 << self.shift) >> 1
         out = []
         for row, start in zip(self.matrix.tolist(), self.offset, strict=True):
@@ -199,7 +200,7 @@ def _float_function(stem: str, matrix: FloatArray, offset: FloatArray) -> Iterat
 def _float_function_with_temperature(
     source: ExportSource, stem: str, scale: float
 ) -> Iterator[str]:
-    """Yield the function with a temperature: polynomials by Horner's rule, and cubic bends."""
+    """Yield the function with a temperature: polynomials by Horner's rule, and cubic terms."""
     correction = source.correction
     curves = [
         (name, curve, factor)

@@ -31,7 +31,7 @@ def export_text(source: ExportSource, kind: str, options: ExportOptions | None =
     """Return the text of a calibration in one of the formats.
 
     Raises:
-        InputError: the calibration lacks what the format needs.
+        InputError: the calibration lacks data that the format needs.
         UsageError: the format is unknown, or it does not have a given option.
     """
     chosen = options or ExportOptions()

@@ -44,8 +44,8 @@ class ExportSource:
         """Return the source; `calibration` is None if the gain is not fully known.
 
         Raises:
-            InputError: the verdict of the calibration is refused, or a name or value of it is not
-                that of a calibration.
+            InputError: the verdict of the calibration is refused, or a name or value in it is not
+                valid for a calibration.
         """
         name = f"of {source.board.id}"
         check_document(source, name)
@@ -93,7 +93,7 @@ class ExportSource:
 
     @property
     def bias_curve(self) -> TemperatureCurve | None:
-        """The bias against the temperature, None if the document has none or an unknown zero."""
+        """The bias over temperature, None if the document has none or an unknown zero."""
         if self.document.validity.temperature_degc is None and self.document.temperature is None:
             return None
         if self.calibration is not None:
@@ -105,7 +105,7 @@ class ExportSource:
         """The bias, shape (3,).
 
         Raises:
-            InputError: it is not known.
+            InputError: the bias is not known.
         """
         value = self.document.parameters["bias"].value
         values = value if isinstance(value, list) else [value]
@@ -188,7 +188,7 @@ class ExportSource:
 
 
 def comment_lines(mark: str, lines: Iterable[str]) -> list[str]:
-    """Return lines of a comment, each with its mark; no text of a calibration ends the comment.
+    """Return comment lines, each with its mark; no text of a calibration can end the comment.
 
     Every export writes its comments with this function.
     """
@@ -200,12 +200,12 @@ def _indentation(line: str) -> str:
 
 
 def printable_line(text: str) -> str:
-    """Return a text that cannot end a comment or a line, in no language of an export.
+    """Return a text that cannot end a comment or a line, in any language of an export.
 
     The result has neither a backslash nor `*/`, `/*` or a trigraph of C. Texts come from devices.
     """
     plain = "".join(c if c.isprintable() and c.isascii() else "?" for c in " ".join(text.split()))
-    # The backslash first: its replacement can complete the end of a comment.
+    # Replace the backslash first: its replacement can complete the end of a comment.
     return _BROKEN_PAIRS.sub(r"\1 ", plain.replace("\\", "/"))
 
 

@@ -1,8 +1,8 @@
 """Parameter files for PX4 and ArduPilot.
 
-What to use when: `px4_parameters`, `ardupilot_parameters`. Both autopilots take the offset of a
-gyro and its dependence on temperature. Neither has a scale or a misalignment; those are left
-out, and the file says so. Both subtract the offset in the axes that their driver reports.
+What to use when: `px4_parameters`, `ardupilot_parameters`. Both autopilots use the offset of a gyro
+and its dependence on temperature. Neither has a scale factor or a misalignment; the export leaves
+them out and states this in the file. Both subtract the offset in the axes of their driver.
 
 Sources: PX4 src/lib/sensor_calibration/Gyroscope.cpp (`_rotation * (data - thermal - offset)`),
 its parameters TC_G0_*; ArduPilot AP_InertialSensor_Backend.cpp (`_rotate_and_correct_gyro`)
@@ -133,16 +133,16 @@ def ardupilot_parameters(source: ExportSource, slot: int = 0) -> str:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _CubicBias:
-    """The bias against the temperature as both autopilots take it."""
+    """The bias over temperature in the form that both autopilots use."""
 
     coefficients: FloatArray  # (3, 3), of orders 1 to 3 for x, y, z, rad/s/K^p
     reference_degc: float
     range_degc: tuple[float, float]
-    error_rad_s: float  # largest, where the calibration has another curve
+    error_rad_s: float  # largest error, if the calibration has another curve
 
     @classmethod
     def of(cls, source: ExportSource) -> Self | None:
-        """Return it, None if the calibration has no curve or no range."""
+        """Return the cubic bias, None if the calibration has no curve or no range."""
         curve = source.bias_curve
         if curve is None or curve.is_zero or curve.range_degc is None:
             return None
@@ -153,7 +153,7 @@ class _CubicBias:
 
 
 def _curve_lines(source: ExportSource) -> list[str]:
-    """Return remarks on the bias against the temperature."""
+    """Return remarks on the bias over temperature."""
     cubic = _CubicBias.of(source)
     if cubic is None:
         return []
@@ -184,7 +184,7 @@ def shift_polynomial(polynomial: FloatArray, from_degc: float, to_degc: float) -
         to_degc: the new reference temperature.
     """
     out = np.zeros_like(polynomial)
-    # Taylor's expansion about the new reference, by Horner's scheme: order by order.
+    # Taylor's expansion about the new reference, by Horner's scheme for each order.
     work = np.concatenate([np.zeros((1, polynomial.shape[1])), polynomial])
     step = to_degc - from_degc
     for lowest in range(len(work) - 1):

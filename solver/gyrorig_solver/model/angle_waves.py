@@ -1,4 +1,4 @@
-"""Periodic functions of the angles of a stage; a fit needs the same ones many times."""
+"""Periodic functions of the stage's angles, cached because a fit needs the same ones many times."""
 
 import numpy as np
 
@@ -6,7 +6,7 @@ from gyrorig_solver.data import FloatArray
 
 
 class AngleWaves:
-    """Waves of pan and tilt; the latest period of each axis is kept."""
+    """Cosine and sine waves of pan and tilt; each axis caches its latest period."""
 
     def __init__(self, angle_rad: FloatArray) -> None:
         """Use the angles (2, n)."""
@@ -14,7 +14,7 @@ class AngleWaves:
         self._latest: dict[int, tuple[float, tuple[FloatArray, FloatArray]]] = {}
 
     def cosine_and_sine(self, axis: int, period_rad: float) -> tuple[FloatArray, FloatArray]:
-        """Return cosine and sine of an axis' angle, (n,) each, not to be written to.
+        """Return cosine and sine of an axis' angle, (n,) each; do not write to them.
 
         Args:
             axis: 0 pan, 1 tilt.

@@ -1,7 +1,7 @@
 """A board's temperature at its gyroscope: smoothed readings, and the lag of the die.
 
 Sensors report in steps (1 K on an L3G4200D, updated once per second), while the temperature of a
-board changes over minutes. A staircase would put false edges into every thermal signal.
+board changes over minutes. The steps would add false edges to every thermal signal.
 
 What to use when: `BoardTemperature.of` once per recording; `die_temperature_rise` in every signal
 state.
@@ -23,11 +23,10 @@ from gyrorig_solver.model.recursive_filters import filter_from_rest
 
 GRID_STEP_S = 1.0  # of the smoothed grid
 SMOOTHING_TIMES_S = (20.0, 12.0, 8.0, 5.0, 3.0, 2.0, 1.0)  # tau, in the order of the attempts
-# Of the readings' scatter: the fit may miss a staircase by this share of it.
 MIN_OCCUPIED_CELLS = 3  # with readings; fewer do not determine a curve
-MAX_MISFIT_SHARE = 0.7
+MAX_MISFIT_SHARE = 0.7  # of the readings' scatter; limit of the smooth curve's misfit
 MIN_READINGS = 8  # readings
-# The gradient over less, times a lag, would multiply the noise of the thermometer.
+# A gradient over less time, multiplied by the lag, would amplify the noise of the thermometer.
 MIN_GRADIENT_S = 30.0
 
 
@@ -38,7 +37,7 @@ class BoardTemperature:
     time_s: FloatArray  # (m,)
     degc: FloatArray  # (m,)
     mean_degc: float  # the reference of thermal causes
-    gradient_width_s: float = 0.0  # over which the gradient is a mean, at least
+    gradient_width_s: float = 0.0  # minimum time over which the gradient is a mean
 
     @classmethod
     def of(
@@ -48,7 +47,7 @@ class BoardTemperature:
 
         Args:
             time_s: shape (n,), not decreasing.
-            readings_degc: shape (n,), nan where a sample has no reading.
+            readings_degc: shape (n,), nan if a sample has no reading.
             mean_degc: the reference temperature, common to a board's recordings; by default the
                 mean.
         """
@@ -64,7 +63,7 @@ class BoardTemperature:
         return float(np.ptp(self.degc))
 
     def smoothed(self, width_s: float) -> Self:
-        """Return the temperature as means over a window, without the thermometer's noise."""
+        """Return the temperature as means over a window, which removes the thermometer's noise."""
         degc = _moving_means(_moving_means(self.degc, width_s), width_s)
         return replace(self, degc=degc, gradient_width_s=MIN_GRADIENT_S)
 
@@ -74,7 +73,7 @@ class BoardTemperature:
         Args:
             time_s: on the recording's time axis.
             lag_s: above 0 the thermometer is late, T_die = T + lag dT/dt; below 0 the die is late,
-                dT_die/dt = (T - T_die)/|lag|. To first order both are the former.
+                dT_die/dt = (T - T_die)/|lag|. To first order, both are T + lag dT/dt.
         """
         rise = self.degc - self.mean_degc
         if lag_s > 0.0:
@@ -96,7 +95,7 @@ def _moving_means(values: FloatArray, width_s: float) -> FloatArray:
 
 
 def _lagged(rise: FloatArray, tau_s: float) -> FloatArray:
-    """Return x of x' = (u - x)/tau, exact for u linear between grid times.
+    """Return the solution x of x' = (u - x)/tau, exact for u linear between grid times.
 
     The initial state is the thermometer's value, as after power-on and after a long rest.
     """
@@ -129,9 +128,9 @@ def _smooth_readings(time_s: FloatArray, degc: FloatArray) -> tuple[FloatArray, 
 
 
 def _cell_std(degc: FloatArray, means: FloatArray) -> float:
-    """Return the standard deviation of the cell means, by quantisation or noise.
+    """Return the standard deviation of the cell means from quantisation or noise.
 
-    The noise is estimated from second differences, which a smooth curve hardly has.
+    The noise is estimated from second differences, which are small for a smooth curve.
     """
     steps = np.diff(np.unique(degc))
     quantum = float(np.min(steps[steps > 1e-6], initial=np.inf))

@@ -1,10 +1,10 @@
 """The catalogue of physical causes, by id.
 
-Every module of `model.causes` that has a `TERM` takes part: a new cause is a new file.
+The catalogue contains every module of `model.causes` that has a `TERM`: a new cause is a new file.
 
-What to use when: `catalogue` for all causes; `find_term` for one that a user has named;
-`term_of_law` for the one that is a quantity of the motion law; `cause_display_unit` for the unit
-of a size.
+What to use when: `catalogue` for all causes; `find_term` for a cause that a user has named;
+`term_of_law` for the cause of a quantity of the motion law; `cause_display_unit` for the unit of a
+size.
 """
 
 import importlib
@@ -38,7 +38,7 @@ def term_of_law(quantity: str) -> Term:
 
 
 def cause_display_unit(cause: str, parameter: str, unit: str) -> tuple[float, str]:
-    """Return the factor from a parameter's SI unit to the one shown everywhere, and that unit.
+    """Return the factor from a parameter's SI unit to the displayed unit, and that unit.
 
     Args:
         cause: an id; a finding can have one that is not in the catalogue.

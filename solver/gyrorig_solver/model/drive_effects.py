@@ -22,7 +22,7 @@ def apply_play(angle_rad: FloatArray, gap_rad: float, start_face: float) -> Floa
 
     Args:
         angle_rad: the input, shape (n + 1,).
-        gap_rad: how far the input turns before the output follows back.
+        gap_rad: angle that the input turns back before the output follows.
         start_face: the initial contact: 1 pushes up, -1 down, 0 is in the middle.
     """
     half = gap_rad / 2.0
@@ -35,7 +35,7 @@ def apply_play(angle_rad: FloatArray, gap_rad: float, start_face: float) -> Floa
     output[0] = level
     for end in ends:
         inside = angle_rad[first : end + 1]
-        # The input is monotonic here, so the nearer face positions the output.
+        # The input is monotonic here, so the nearer face determines the output.
         output[first : end + 1] = np.clip(level, inside - half, inside + half)
         first, level = end, float(output[end])
     return output
@@ -94,7 +94,7 @@ def resonance_deflection(
     w = 2.0 * np.pi * frequency_hz
     step_s = float(edges_s[-1] - edges_s[0]) / (edges_s.size - 1)
     numerator, denominator = step_invariant(w, damping, step_s)
-    # Constant from half a step before to half a step after its edge.
+    # The acceleration is constant from half a step before to half a step after its edge.
     interval_means = np.zeros_like(acceleration_rad_s2)
     np.add(
         acceleration_rad_s2[..., :-1], acceleration_rad_s2[..., 1:], out=interval_means[..., :-1]
@@ -105,10 +105,10 @@ def resonance_deflection(
 def replan_with_limits(
     profile: MotionProfile, acceleration_share: float, base_steps_s: float
 ) -> MotionProfile | None:
-    """Return a motion with other acceleration and base speed; None for one without ramps.
+    """Return a motion with other acceleration and base speed; None if it has no ramps.
 
     Args:
-        profile: from rest to rest.
+        profile: of a move from rest to rest.
         acceleration_share: added to 1.
         base_steps_s: added to the base speed.
     """

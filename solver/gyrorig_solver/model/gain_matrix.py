@@ -127,16 +127,16 @@ def factor_jacobian(factors: GainFactors) -> FloatArray:
 def factorise_near(gains: FloatArray, near: GainFactors) -> FloatArray:
     """Return the nine factors of many gain matrices, on the branch of one factorisation.
 
-    The signs of the scale factors are those of `near`, so the factors are continuous functions of
-    the gain around it.
+    The signs of the scale factors are those of `near`, so that the factors are continuous functions
+    of the gain around it.
 
     Args:
         gains: matrices, shape (n, 3, 3).
         near: factors of a gain among them.
 
     Returns:
-        Factors in the order of `FACTOR_NAMES`, shape (n, 9); NaN where the branch ends: the
-        matrix is singular, its determinant has the other sign, or M is half a turn.
+        Factors in the order of `FACTOR_NAMES`, shape (n, 9); NaN if the branch ends: the matrix is
+        singular, its determinant has the other sign, or M is half a turn.
     """
     q_t, r_t = np.linalg.qr(np.swapaxes(gains, 1, 2))
     lower, rotation = np.swapaxes(r_t, 1, 2), np.swapaxes(q_t, 1, 2)

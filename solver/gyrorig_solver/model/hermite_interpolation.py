@@ -52,7 +52,7 @@ class HermiteInterpolator:
     def _sum_at_nodes(self, *weighted: tuple[FloatArray, FloatArray, FloatArray]) -> FloatArray:
         """Return the sum of grid values times the weights of the lower and the upper node.
 
-        The values of one column are contiguous: numpy is slow on rows of three.
+        The values of one column are contiguous, because numpy is slow on rows of three.
         """
         total = np.zeros((weighted[0][0].shape[1], self.fraction.size))
         for values, lower_weight, upper_weight in weighted:

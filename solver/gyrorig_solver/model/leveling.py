@@ -1,11 +1,11 @@
-"""Leveling by gravity: the tilt zero and the lean of the pan axis from an accelerometer at rest.
+"""Leveling by gravity: tilt zero and lean of the pan axis from an accelerometer at rest.
 
 What to use when: `level_from_rests` for a recording of a unit; `estimate_level` for the mean
-readings of rests at several tilts, better at several pan angles too.
+readings of rests at several tilts, preferably at several pan angles too.
 
-At a rest let the vertical in the base frame be u = (p, q, 1) (p, q small: the pan axis leans
-relative to the vertical), the commanded tilt t, the tilt zero z and the board's mount angle m about
-x:
+At a rest, let the vertical in the base frame be u = (p, q, 1) (p, q small: the pan axis leans
+relative to the vertical). The commanded tilt is t, the tilt zero z and the board's mount angle
+about x is m:
 
     up in the stage frame = Rx(t)^T (c p + s q, c q - s p, 1),  c, s = cos, sin of pan
     reading = bias + A_x (..) + A_y (..) + A_z (..)
@@ -13,16 +13,15 @@ x:
 A's columns are the directions of the stage's axes in the accelerometer, scale factors included:
 three unknown vectors. Scale factors and bias of the accelerometer are unknown too.
 
-What can be separated, and what cannot:
-- A_y and A_z: a circle over tilt, whose phase is phi = z - m. At commanded tilt -phi the
-  accelerometer's forward axis is perpendicular to the pan axis. z and m enter every reading as
-  their difference, here and in the gyro's rates: no sensor on the board separates them. Only a
-  board that is known to be flush (m = 0 within its tolerance), or the same board after a second
-  mounting, gives a tilt zero. Over many boards with random m the mean of phi is z.
-- p and q: their part rotates with pan. At one pan angle, phi and the lean at that angle are one
-number:
-  then their sum is known, and phi is only as accurate as the level of the rig.
-- The gyro's own phase (its misalignment about x is m - z) does not contain the lean. Gyro and
+The data separate these quantities as follows:
+- A_y and A_z: a circle over tilt, whose phase is phi = z - m. At commanded tilt -phi, the
+  accelerometer's forward axis is perpendicular to the pan axis. z and m enter every reading, and
+  the gyro's rates, only as their difference: no sensor on the board separates them. Only a board
+  that is known to be flush (m = 0 within its tolerance), or the same board after a second mounting,
+  gives a tilt zero. Over many boards with random m, the mean of phi is z.
+- p and q: their contribution rotates with pan. At one pan angle, only the sum of phi and the lean
+  at that angle is known, and phi is only as accurate as the level of the rig.
+- The gyro's phase (its misalignment about x is m - z) does not contain the lean. Gyro and
   accelerometer are on one die within the data sheet's tolerance (1 to 2 %, or 10 to 20 mrad). The
   sum of the two phases is the forward lean of the pan axis, even at one pan angle, within that
   tolerance.
@@ -38,10 +37,10 @@ from gyrorig_solver.data import FloatArray
 from gyrorig_solver.model.parameter_units import plural
 
 LEVEL_STD_RAD = 0.035  # a rig on a table is level within about 2 deg
-# Of A's x column, which only the lean shows: the scale factor of an accelerometer (ADXL345:
-# +-10 %) and its cross-axis sensitivity, relative to gravity.
+# Standard deviations of A's x column, which only the lean shows: the scale factor of an
+# accelerometer (ADXL345: +-10 %) and its cross-axis sensitivity, relative to gravity.
 CROSS_AXIS_STD = (0.1, 0.02, 0.02)
-MIN_TILTS = 3  # bias, scale and phase of an axis
+MIN_TILTS = 3  # for the bias, scale factor and phase of an axis
 MIN_TILT_RANGE_RAD = 0.35  # of tilt: below 20 deg bias and phase are nearly inseparable
 MIN_TILT_STEP_RAD = 0.02  # closer tilts count as one
 MAX_ITERATIONS = 20
@@ -56,7 +55,7 @@ class LevelEstimate:
     """The phase of gravity over tilt, and the lean of the pan axis."""
 
     offset_rad: float  # phi = tilt zero - mount angle about x, relative to the pan axis
-    offset_std_rad: float  # includes the lean, also at one pan angle
+    offset_std_rad: float  # includes the lean, even at one pan angle
     lean_rad: FloatArray  # (2,), vertical in the base frame: to the right (x), forward (y)
     lean_std_rad: FloatArray  # (2,), `LEVEL_STD_RAD` if the pan angles do not show it
     reduced_chi2: float  # 1 if the readings' standard deviations explain the residual
@@ -138,7 +137,7 @@ def _model(
     length = np.sqrt(float(np.linalg.norm(ahead) * np.linalg.norm(up)))
     across = np.cross(ahead, up) / length + length * estimate[11:]
     c, s = np.cos(pan_rad), np.sin(pan_rad)
-    # The lean's two components, turned into the carrier of the tilt axis.
+    # The two components of the lean in the frame of the tilt axis's carrier.
     right = np.column_stack([c, s])
     forward = np.column_stack([-s, c])
     lean_right, lean_forward = right @ estimate[9:11], forward @ estimate[9:11]
@@ -181,7 +180,7 @@ def rest_means(time_s: FloatArray, accel_m_s2: FloatArray, angle_rad: FloatArray
     begins, ends = np.flatnonzero(change == 1), np.flatnonzero(change == -1)
     pans, tilts, readings, scatter = [], [], [], []
     for begin, end in zip(begins, ends, strict=True):
-        # The recording does not begin with a stop.
+        # At the beginning of a recording, no stop precedes the rest.
         settled_s = time_s[begin] + (SETTLING_TIME_S if begin else 0.0)
         inside = np.arange(begin, end + 1)
         inside = inside[(time_s[inside] >= settled_s) & np.isfinite(accel_m_s2[inside]).all(axis=1)]

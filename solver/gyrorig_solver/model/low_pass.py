@@ -16,9 +16,10 @@ from gyrorig_solver.model.recursive_filters import (
     ramp_invariant,
 )
 
-NEGLIGIBLE_DECAY = 40.0  # exponent of a filter's remaining state: below rounding
-DELAY_COUNT, DELAY_PHASE = 8, 2.0 * np.pi  # of an impulse response, and its end
-MEAN_SHARPENING = (-0.125, 1.25, -0.125)  # corrects means for straight-line interpolation
+NEGLIGIBLE_DECAY = 40.0  # exponent of the decay of a filter's state; the rest is below rounding
+DELAY_COUNT, DELAY_PHASE = 8, 2.0 * np.pi  # number of delays and end of an impulse response
+# corrects the difference between means and straight-line interpolation
+MEAN_SHARPENING = (-0.125, 1.25, -0.125)
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,7 +64,7 @@ class LowPass:
         )
 
     def apply_to_instants(self, means: FloatArray, step: int) -> FloatArray:
-        """Return the middle of every `step` values of `apply_to_means`, (..., n / step).
+        """Return the middle value of every `step` values of `apply_to_means`, (..., n / step).
 
         Args:
             means: shape (..., n), n a multiple of the step.

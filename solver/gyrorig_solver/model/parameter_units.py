@@ -1,8 +1,8 @@
-"""Units and number formats of parameters: one spelling and one unit each, wherever people read.
+"""Units and number formats of parameters: one spelling and one unit each in all texts.
 
 What to use when: `PARAMETER_GROUPS` for the base parameters in the order of the document;
 `parameter_label` for the name of one value (`scale.x`); `display_unit` for any SI unit;
-`format_quantity` for a value with its standard uncertainty; `format_short` for a number alone;
+`format_quantity` for a value with its standard uncertainty; `format_short` for a number without it;
 `plural` for a counted noun. Files keep SI units.
 """
 
@@ -10,7 +10,7 @@ import math
 from dataclasses import dataclass
 
 DEG_PER_RAD = 180.0 / math.pi
-# Typical sizes from which a parameter has a larger unit: every value of it then has this unit.
+# From these typical sizes on, all values of a parameter have the larger unit.
 MIN_PERCENT_RATIO, MIN_PLAIN_RATIO, MIN_SECONDS_S = 0.01, 0.5, 1.0
 
 # SI unit: factor and unit for people. Sizes of causes and of parameters use the same table.
@@ -36,7 +36,7 @@ class ParameterGroup:
     name: str
     labels: tuple[str, ...]
     meaning: str
-    factor: float  # from the document's unit to the one shown
+    factor: float  # from the document's unit to the displayed one
     unit: str
 
 
@@ -65,7 +65,7 @@ def parameter_label(name: str, component: str = "") -> str:
 
 
 def display_unit(unit: str, typical_size: float = 0.0) -> tuple[float, str]:
-    """Return the factor from an SI unit to the one shown, and that unit.
+    """Return the factor from an SI unit to the displayed one, and that unit.
 
     Args:
         unit: the SI unit.
@@ -95,7 +95,7 @@ def decimals_of_std(std: float) -> int:
 
 
 def format_quantity(value: float, std: float | None) -> tuple[str, str]:
-    """Return the texts of a value and its standard deviation, equally many decimals."""
+    """Return the texts of a value and its standard deviation, with equally many decimals."""
     if std is None or not std > 0.0:
         return f"{value:+.6g}", "0" if std == 0.0 else "unknown"  # 0: chosen, not measured
     decimals = decimals_of_std(std)
@@ -108,7 +108,7 @@ def format_two_digits(std: float) -> str:
 
 
 def format_short(value: float) -> str:
-    """Return a number with three significant digits, without an exponent where it can."""
+    """Return a number with three significant digits, without an exponent if possible."""
     if value == 0.0:
         return "0"
     if 1e-4 <= abs(value) < 1e5:

@@ -10,7 +10,7 @@ STANDARD_GRAVITY_M_S2 = 9.80665  # CGPM 1901
 
 @dataclass(frozen=True, slots=True)
 class Site:
-    """The location of the rig (metadata `gyrorig.site`); None where it is not recorded."""
+    """The location of the rig (metadata `gyrorig.site`); None if it is not recorded."""
 
     latitude_deg: float | None = None  # north positive
     heading_deg: float | None = None  # of the base's y axis, clockwise from true north
@@ -41,5 +41,5 @@ class RecordingContext:
 
     @property
     def is_averaged(self) -> bool:
-        """Whether the fit uses means that hide what acts for milliseconds."""
+        """Whether the fit uses means, which hide effects of a few milliseconds."""
         return self.mean_duration_s > MAX_MEAN_DURATION_S

@@ -20,7 +20,7 @@ from gyrorig_solver.model.term import Term, value_names
 
 
 class _OneRecordingMixin:
-    """Precedes the class of a term, and limits its methods to one recording."""
+    """Mixin that precedes the class of a term and limits its methods to one recording."""
 
     recording_index: int
 

@@ -15,8 +15,8 @@ from scipy.linalg.lapack import dtbtrs
 
 from gyrorig_solver.data import FloatArray
 
-BLOCK_OUTPUTS, BLOCK_DECIMATED_OUTPUTS = 40, 16  # the fastest sizes of those that were measured
-VALUES_TOGETHER = 65_536  # of rows that a cache holds
+BLOCK_OUTPUTS, BLOCK_DECIMATED_OUTPUTS = 40, 16  # the fastest of the measured sizes
+VALUES_TOGETHER = 65_536  # of the rows that fit into a cache
 NEGLIGIBLE_MEMORY = 1e-17  # of the outputs before a block in those at its end: below rounding
 ORDER = 2  # of the recursion
 
@@ -47,8 +47,8 @@ def filter_from_steady(
         numerator: b, shape (p,).
         denominator: a, shape (q,), q at most 3, its first value 1, with a gain at zero frequency.
         signal: filtered along its last axis, n a multiple of the step.
-        step: only one of so many outputs is computed.
-        phase: which of them.
+        step: only one output per this number of outputs is computed.
+        phase: the index of the computed output among them.
 
     Returns:
         The computed outputs, shape (..., n / step).
@@ -64,7 +64,7 @@ def _cached_filter(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _BlockFilter:
-    """A filter as matrices from a block of m inputs, and from what came before, to its outputs.
+    """A filter as matrices from a block of m inputs, and from earlier values, to its outputs.
 
     The values before a block are its last p - 1 inputs, the older ones first, and its last two
     outputs, the newer one first.
@@ -137,7 +137,7 @@ def _block_filter(
     inputs = len(numerator) - 1
     feedback = np.zeros(ORDER + 1)
     feedback[: len(denominator)] = denominator
-    # Each output as a sum over: earlier inputs, earlier outputs, inputs. Two outputs come before.
+    # Each output is a sum over earlier inputs, earlier outputs and inputs. Two outputs come before.
     sums = np.zeros((ORDER + size, inputs + ORDER + size))
     sums[1, inputs] = sums[0, inputs + 1] = 1.0
     for k in range(size):

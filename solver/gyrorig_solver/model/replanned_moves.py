@@ -1,11 +1,12 @@
-"""Moves that the unit executed with other limits than commanded, all moves of an axis together.
+"""Moves that the unit executed with other limits than commanded, for all moves of an axis.
 
 A move from rest to rest with one command is a trapezoid of speed: see
-`reference.unit.motion_profile`. Its position has a closed form, so that a fit of the limits needs
-no plan of every move.
+`reference.unit.motion_profile`. Its position has a closed form, so that a fit of the limits does
+not need a plan of every move.
 
-What to use when: `simple_moves` for the moves of one axis, `SimpleMoves.position_change` for what
-other limits change; `compound_moves` and `compound_change` for moves with commands on the way.
+What to use when: `simple_moves` for the moves of one axis, `SimpleMoves.position_change` for the
+effect of other limits; `compound_moves` and `compound_change` for moves with commands during the
+move.
 """
 
 from dataclasses import dataclass
@@ -24,26 +25,26 @@ LimitChange = tuple[float, float]  # share of the acceleration, base speed in st
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SimpleMoves:
-    """The moves of one axis from rest to rest, with one target and no other command on the way.
+    """The moves of one axis from rest to rest, with one target and no other command in between.
 
     Moves at or below the base speed have no ramps and are left out.
     """
 
     start_s: FloatArray  # (m,)
     distance_steps: FloatArray  # (m,), signed
-    speed_steps_s: FloatArray  # (m,), commanded, as the next two
+    speed_steps_s: FloatArray  # (m,), commanded, as are the next two
     acceleration_steps_s2: FloatArray  # (m,)
     base_speed_steps_s: FloatArray  # (m,)
 
     def position_change(
         self, edges_s: FloatArray, change: LimitChange, previous: LimitChange
     ) -> FloatArray:
-        """Return how far other limits change the position at the edges, steps, (n + 1,).
+        """Return the change of the position by other limits at the edges, steps, (n + 1,).
 
         Args:
             edges_s: increasing, shape (n + 1,).
             change: of the limits, in addition to `previous`.
-            previous: change of the commanded limits to compare with.
+            previous: change of the commanded limits with which the result is compared.
         """
         position_change = np.zeros_like(edges_s)
         moves = self._started_before(edges_s[-1])
@@ -60,7 +61,7 @@ class SimpleMoves:
         difference = plans[0].covered_steps(move, elapsed_s) - plans[1].covered_steps(
             move, elapsed_s
         )
-        # A move with other limits can last until the next one has begun.
+        # A move with other limits can last until the next move has started.
         np.add.at(position_change, edge, np.sign(moves.distance_steps)[move] * difference)
         return position_change
 
@@ -132,7 +133,7 @@ def simple_moves(profiles: AxisProfiles, axis: int) -> SimpleMoves:
 
 
 def compound_moves(profiles: AxisProfiles, axis: int) -> list[MotionProfile]:
-    """Return the moves of an axis that got further commands on the way."""
+    """Return the moves of an axis that received further commands during the move."""
     return [
         profile
         for moved_axis, profile in profiles
@@ -143,13 +144,13 @@ def compound_moves(profiles: AxisProfiles, axis: int) -> list[MotionProfile]:
 def compound_change(
     profile: MotionProfile, edges_s: FloatArray, change: LimitChange, previous: LimitChange
 ) -> tuple[slice, FloatArray]:
-    """Return the edges of a compound move and how far other limits change the position there.
+    """Return the edges of a compound move and the change of the position there by other limits.
 
     Args:
         profile: of the move.
         edges_s: increasing, shape (n + 1,).
         change: of the limits, in addition to `previous`.
-        previous: change of the commanded limits to compare with.
+        previous: change of the commanded limits with which the result is compared.
     """
     changed = replan_with_limits(profile, change[0] + previous[0], change[1] + previous[1])
     before = profile if previous == (0.0, 0.0) else replan_with_limits(profile, *previous)

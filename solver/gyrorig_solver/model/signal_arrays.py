@@ -1,10 +1,10 @@
 """Arrays of signals of three axes, shape (..., n, 3), whose values of one axis are contiguous.
 
-Filters and transforms run along the time. In this order in memory they need no copies.
+Filters and transforms run along the time axis. This order in memory needs no copies.
 
 What to use when: `zero_signals` to fill in values, `stack_signals` for several signals,
-`on_all_axes` for a signal that is the same on each axis, `split_axes` for the axes one by one;
-`AxisBiases` for a bias of each axis without the zeros, `weighted_sum` of either.
+`on_all_axes` for a signal that is the same on each axis, `split_axes` for one axis at a time;
+`AxisBiases` for a bias of each axis without the zeros, `weighted_sum` for the sum of either kind.
 """
 
 from collections.abc import Sequence
@@ -61,7 +61,7 @@ def axis_rows(signals: FloatArray) -> FloatArray:
 
 
 def on_all_axes(signals: FloatArray) -> FloatArray:
-    """Return signals (..., n) as the same on each axis, (..., n, 3); not to be written to."""
+    """Return signals (..., n) as equal signals on each axis, (..., n, 3); do not write to them."""
     return np.broadcast_to(signals[..., None], (*signals.shape, 3))
 
 

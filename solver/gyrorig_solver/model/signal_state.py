@@ -8,11 +8,11 @@ for the lag of the samples behind the motion, and the reference's pan and tilt a
 The grid has `intervals_per_instant` intervals per sample instant, an odd number, so that one
 interval is centred on the instant, and `instants_per_block` instants per block mean. On the fine
 grid of the series this reproduces the samples exactly. A coarser grid (a few intervals per block,
-each representing an instant) is as good for derivatives and several times faster.
+each representing an instant) is accurate enough for derivatives and several times faster.
 
 Other causes can have changed a state already: `with_angles`, `with_rate`, `with_sensor`,
-`with_output` and `with_delay` return the signal that the next stages see. `at_stage`, `at_sensor`
-and `at_output` return the signal at a stage without anything behind it.
+`with_output` and `with_delay` return the signal at the next stages. `at_stage`, `at_sensor` and
+`at_output` return the signal at a stage without the later stages.
 """
 
 from dataclasses import dataclass, replace
@@ -42,7 +42,7 @@ class SignalState:
     edges_s: FloatArray  # (n + 1,)
     angle_rad: FloatArray  # (2, n + 1), pan and tilt at the edges
     motion_known: BoolArray  # (n,)
-    rate_rad_s: FloatArray  # (n, 3), stage frame; zero where unknown
+    rate_rad_s: FloatArray  # (n, 3), stage frame; zero if unknown
     axis_turn: StageRateJacobian  # derivative of that rate by the angles (rad)
     gain: FloatArray  # (3, 3), G = S T M
     bias_rad_s: FloatArray  # (3,)
@@ -57,7 +57,7 @@ class SignalState:
     # Changes by causes at earlier stages; None is no change.
     motors_running: BoolArray | None = None  # (2, n), even if the stage does not turn
     added_sensor_rate_rad_s: FloatArray | None = None  # (n, 3), before the low-pass
-    added_output_rate_rad_s: FloatArray | None = None  # (n, 3), behind the low-pass
+    added_output_rate_rad_s: FloatArray | None = None  # (n, 3), after the low-pass
     sampling_delay_s: FloatArray | None = None  # (instants,), sampling time minus timestamp
 
     @classmethod
@@ -84,15 +84,15 @@ class SignalState:
                 Intervals beyond `used_instants.size * intervals_per_instant` precede the first
                 block.
             angle_rad: pan and tilt at the edges, shape (2, n + 1); None if there are none.
-            used_instants: which instants are used, whole blocks.
+            used_instants: which instants are used, for whole blocks.
             instants_per_block: instants per block mean.
             intervals_per_instant: odd.
             bandwidth_hz: of the sensor's low-pass; None to omit the low-pass.
             gain: current G of the fit.
             bias_rad_s: current bias of the fit.
-            rate_rad_s: mean stage rate between edges, (n, 3), nan where unknown; computed from the
-                angles if not given.
-            motion_known: (n,), False where the angles are not reliable.
+            rate_rad_s: mean stage rate between edges, (n, 3), nan if unknown; by default computed
+                from the angles.
+            motion_known: (n,), False if the angles are not reliable.
             context: of the recording.
             previous_direction: the sign of each axis' last motion before this part, 0 if unknown.
         """
@@ -200,7 +200,7 @@ class SignalState:
 
     @cached_property
     def filtered_rad_s(self) -> FloatArray:
-        """G omega behind the low-pass, shape (n, 3)."""
+        """G omega after the low-pass, shape (n, 3)."""
         rate = self.low_pass_filtered(self.sensor_rate_rad_s)
         return rate if self.added_output_rate_rad_s is None else rate + self.added_output_rate_rad_s
 
@@ -210,7 +210,7 @@ class SignalState:
         return np.asarray(np.gradient(self.filtered_rad_s, self.step_s, axis=0), np.float64)
 
     def low_pass_filtered(self, sensor_rate: FloatArray) -> FloatArray:
-        """Return mean rates of shape (..., n, 3) behind the sensor's low-pass, from a steady state.
+        """Return mean rates of shape (..., n, 3) after the sensor's low-pass, from a steady state.
 
         The prediction of the fit uses the same filter; see `LowPass.apply_to_means`.
         """
@@ -272,7 +272,7 @@ class SignalState:
 
     @cached_property
     def sampled_output(self) -> SampledOutput:
-        """The sensor's output, G omega behind the low-pass, at its instants."""
+        """The sensor's output, G omega after the low-pass, at its instants."""
         own_s = 0.0 if self.sampling_delay_s is None else self.sampling_delay_s
         instants_s = self.sample_times_s + own_s
         return SampledOutput(
@@ -282,7 +282,7 @@ class SignalState:
     def measure_sensor_rate(self, sensor_rate: FloatArray) -> FloatArray:
         """Return the block means of a rate at the sensor, (..., n, 3).
 
-        A rate from `on_all_axes` is filtered once; its block means are not to be written to.
+        A rate from `on_all_axes` is filtered once; do not write to its block means.
         """
         if self.low_pass is None:
             return self.sample_output(sensor_rate)
@@ -302,7 +302,7 @@ class SignalState:
         """Return the block means of a change of the stage's rate, (..., n, 3)."""
         if not self.motion_known.all():
             stage_rate = np.where(self.motion_known[:, None], stage_rate, 0.0)
-        # The gain commutes with the low-pass and is applied last, to the fewest values.
+        # The gain commutes with the low-pass. It is applied last, to the fewest values.
         rows = axis_rows(self.measure_sensor_rate(stage_rate))
         return np.swapaxes(self.gain @ rows, -1, -2)
 
@@ -351,12 +351,12 @@ class SignalState:
         return replace(self, added_sensor_rate_rad_s=total)
 
     def with_output(self, change_rad_s: FloatArray) -> Self:
-        """Return the state with an additional rate behind the low-pass, (n, 3)."""
+        """Return the state with an additional rate after the low-pass, (n, 3)."""
         total = _sum_of_changes(self.added_output_rate_rad_s, change_rad_s)
         return replace(self, added_output_rate_rad_s=total)
 
     def true_times_s(self, time_s: FloatArray) -> FloatArray:
-        """Return when samples with these timestamps were taken, (k,)."""
+        """Return the sampling times of samples with these timestamps, (k,)."""
         if self.sampling_delay_s is None:
             return time_s
         return time_s + np.interp(time_s, self.sample_times_s, self.sampling_delay_s)
@@ -374,7 +374,7 @@ class SignalState:
         return replace(self.at_output(), low_pass=None)
 
     def at_output(self) -> Self:
-        """Return a state in which every interval behind the low-pass is a block."""
+        """Return a state in which every interval after the low-pass is a block."""
         every = np.ones(self.interval_count, dtype=np.bool_)
         return replace(
             self,

@@ -1,4 +1,4 @@
-"""Jumps of an axis' speed, and their responses behind the low-pass.
+"""Jumps of an axis' speed, and their responses after the low-pass.
 
 A stepper starts and stops at its base speed immediately. An effect proportional to its acceleration
 then makes two opposite pulses at the same time. A sample that is taken while the filter starts to
@@ -18,13 +18,13 @@ from gyrorig_solver.data import FloatArray
 from gyrorig_solver.model.signal_state import SignalState
 from gyrorig_solver.reference import MotionProfile
 
-MAX_RELATIVE_DEVIATION = 0.3  # of a jump: with a larger deviation the angle does not have the jump
+MAX_RELATIVE_DEVIATION = 0.3  # of a jump; with a larger deviation, the angle does not show the jump
 MEMORY_TIME_CONSTANTS = 12.0  # of the filter
 MIN_GAP_RAD = 1e-6  # a motor crosses a smaller gap in microseconds
 MAX_CROSSING_INTERVALS = 256  # of the grid, while the motor crosses a gap
 NEWTON_STEPS = 3
 START_TIME_ERROR_S = 3e-4  # two or three standard deviations of a fitted start time
-CROSSING_TIME_ERROR_S = 1e-3  # at most, of the end of a gap: 1e-4 rad at 0.1 rad/s
+CROSSING_TIME_ERROR_S = 1e-3  # upper limit for the end of a gap: 1e-4 rad at 0.1 rad/s
 
 
 Jump = tuple[float, float, float]  # time in s, size in rad/s, error of the time in s
@@ -36,14 +36,15 @@ class SpeedJumps:
 
     time_s: FloatArray
     size_rad_s: FloatArray
-    time_error_s: FloatArray  # how far the true time may be from the fitted one
+    time_error_s: FloatArray  # largest possible difference between the true and the fitted time
 
 
 def find_speed_jumps(state: SignalState, axis: int) -> SpeedJumps:
     """Return the jumps of an axis' speed.
 
-    Only jumps that the angles show: an earlier cause can have rounded the ramps. Behind a gap, the
-    stage starts when the motor has crossed it, at the speed that the motor then has.
+    The result has only jumps that the angles show: an earlier cause can have rounded the ramps.
+    With a gap, the stage starts after the motor has crossed it, at the speed of the motor at that
+    time.
     """
     jumps: list[Jump] = []
     resolution = state.context.rad_per_step
@@ -59,7 +60,7 @@ def find_speed_jumps(state: SignalState, axis: int) -> SpeedJumps:
 
 @dataclass(frozen=True, slots=True)
 class _Move:
-    """A move of the motor beside the angle of the stage."""
+    """A move of the motor, compared with the angle of the stage."""
 
     state: SignalState
     axis: int
@@ -67,7 +68,7 @@ class _Move:
     rad_per_step: float
 
     def start_jump(self) -> Jump | None:
-        """Return the jump as the stage starts; None if its angle shows none."""
+        """Return the jump when the stage starts; None if the angle of the stage shows none."""
         edges_s, start_s = self.state.edges_s, float(self.profile.start_s[0])
         k = int(np.searchsorted(edges_s, start_s, side="right")) - 1
         if not 1 <= k < edges_s.size - 2:
@@ -84,7 +85,7 @@ class _Move:
         motor_rate, stage_rate = np.diff(motor) / width, np.diff(stage) / width
         limit = MAX_RELATIVE_DEVIATION * np.abs(motor_rate)
         is_following = (np.abs(stage_rate - motor_rate) <= limit) & (limit > 0.0)
-        # The stage starts in this interval or in the one before, and follows at its end.
+        # The stage starts in this interval or in the previous one, and follows at its end.
         first = int(np.argmax(is_following))
         if first < 2 or abs(stage_rate[first - 2]) > limit[first - 2]:
             return at_start
@@ -136,7 +137,7 @@ class _Move:
 
 
 def angle_of_jumps(edges_s: FloatArray, jumps: SpeedJumps) -> FloatArray:
-    """Return the part of an angle that the speed jumps make, at the edges, (n + 1,)."""
+    """Return the part of an angle that comes from the speed jumps, at the edges, (n + 1,)."""
     if not jumps.time_s.size:
         return np.zeros_like(edges_s)
     order = np.argsort(jumps.time_s, kind="stable")
@@ -150,7 +151,7 @@ def angle_of_jumps(edges_s: FloatArray, jumps: SpeedJumps) -> FloatArray:
 def jump_responses(state: SignalState, axis: int, jumps: SpeedJumps) -> FloatArray:
     """Return the change of the block means by the acceleration of the jumps, (blocks, 3).
 
-    The rate is size x delta'(t - time) about the axis, behind the sensor's low-pass.
+    The rate is size x delta'(t - time) about the axis, after the sensor's low-pass.
     """
     time_s, size_rad_s = jumps.time_s, jumps.size_rad_s
     signal = np.zeros((state.used_instants.size, 3))
@@ -162,7 +163,7 @@ def jump_responses(state: SignalState, axis: int, jumps: SpeedJumps) -> FloatArr
     direction = [zeros, np.sin(tilt), np.cos(tilt)] if axis == 0 else [ones, zeros, zeros]
     sensor_direction = np.stack(direction, axis=1) @ state.gain.T
     reach_s = MEMORY_TIME_CONSTANTS * np.sqrt(2.0) / omega
-    # A delayed sample has seen later motion.
+    # A delayed sample shows later motion.
     sampling_times_s = state.sample_times_s + (
         0.0 if state.sampling_delay_s is None else state.sampling_delay_s
     )

@@ -19,9 +19,9 @@ from gyrorig_solver.model.signal_state import SignalState
 from gyrorig_solver.reference.unit.motion_law import LawQuantity
 
 Part = Literal["clock", "link", "sensor", "ptu", "mount", "environment"]
-# effect: changes the measured rate. known: changes it by an amount that is known beforehand.
-# gauge: the base parameters absorb it completely, so a residual never shows it.
-# stochastic: changes the noise, not the mean. raw: visible in the raw stream, not in a model.
+# effect: changes the measured rate. known: changes it by an amount that is known in advance. gauge:
+# the base parameters absorb it completely, so a residual never shows it. stochastic: changes the
+# noise, not the mean. raw: visible in the raw stream, not in a model.
 Kind = Literal["effect", "known", "gauge", "stochastic", "raw"]
 # A unit's cause is common to all boards on that unit. A recording's cause is absent from the
 # next recording.
@@ -29,8 +29,8 @@ Scope = Literal["board", "unit", "recording"]
 # size: the magnitude, zero means no effect. shape, event: a nuisance that has no meaning at
 # size zero (a period, a lag, a time constant; a time). It is scanned before it is refined.
 Role = Literal["size", "shape", "event"]
-# Where a cause acts between the motor command and the timestamped sample. Later stages see the
-# effect of earlier ones: backlash swallows the motion that rounded ramps have left.
+# Stage between the motor command and the timestamped sample at which a cause acts. Later stages act
+# on the result of earlier ones: backlash acts on a motion whose ramps are already rounded.
 Stage = Literal[
     "profile",  # the moves that the controller plans
     "motor",  # how the motor executes them
@@ -51,7 +51,7 @@ Stage = Literal[
 ]
 SIGNAL_PATH: tuple[Stage, ...] = get_args(Stage)
 # These stages filter or delay the signal of all other causes. The effect of the other causes is
-# exact when it is computed with these stages in place.
+# exact if it is computed with these stages included.
 FILTER_STAGES: tuple[Stage, ...] = ("low_pass", "clock")
 
 # Predictors of the smooth functions that a cause is tested against; see
@@ -82,7 +82,7 @@ class BinnedDependence:
     quantity: Quantity
     covariate: str
     bins: int = 24
-    ranked: bool = False  # equal counts per bin: otherwise few bins hold the rare large values
+    ranked: bool = False  # equal counts per bin; otherwise few bins contain the rare large values
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,7 +92,7 @@ class TermParameter:
     name: str
     unit: str
     typical_size: float  # on an ordinary rig; the width of the expected range
-    lower: float  # no physical cause of this name lies outside [lower, upper]
+    lower: float  # the physical cause is always within [lower, upper]
     upper: float
     prior_std: float  # of a weak prior: a few times the possible range
     components: tuple[str, ...] = ()  # x, y, z or pan, tilt; () is one value
@@ -132,7 +132,7 @@ def size_parameter(
     lower: float | None = None,
     factor: float = 1.0,
 ) -> TermParameter:
-    """Return a size within ±limit, or from `lower` to the limit; all numbers times `factor`."""
+    """Return a size within ±limit, or from `lower` to the limit; `factor` scales all numbers."""
     return TermParameter(
         name,
         unit,
@@ -190,31 +190,31 @@ class Term(ABC):
     covariates: tuple[str, ...] | None  # for the specification test; None: no predictor known
     picture: BinnedDependence | None  # None: the residual over time, around the event
     excitation: str  # what a recording needs to show the cause and to separate it
-    effect_if_ignored: str  # on a calibration without this cause
+    effect_if_ignored: str  # on a calibration whose model lacks this cause
 
-    needs_angles: bool = False  # the reference must give the pose at each moment
+    needs_angles: bool = False  # the reference must give the pose at each time
     depends_on_upstream: bool = False  # its effect changes with small changes before it
-    ignores_clipping: bool = False  # its derivatives are taken as if nothing clipped the rate
-    derivative_step: float = DERIVATIVE_STEP  # larger where the effect changes in steps
+    ignores_clipping: bool = False  # its derivatives ignore the clipping of the rate
+    derivative_step: float = DERIVATIVE_STEP  # larger if the effect changes in steps
     # Special cases of the search.
     template_search: TemplateSearch = "grid"
-    holds_shapes: bool = False  # a fit is rough in the shapes: they are found like an event
+    holds_shapes: bool = False  # a fit is not smooth in the shapes: they are found like an event
     equivalent_causes: tuple[str, ...] = ()  # the same function on one of its axes
     first_order_equivalent: str = ""  # the cause that replaces it in the first scan
     scale_follows_temperature: bool = False  # its size is a change of the scale factor per kelvin
     confounded_with_gain: bool = False  # the gain absorbs it, so its size can stay unobservable
     is_whole_steps: bool = False  # its size is at least one step
-    nameless_description: str = ""  # if it is compared like a cause and reported as unexplained
+    nameless_description: str = ""  # if given, it is reported as unexplained, not as a cause
     is_noise_process: bool = False  # the noise model contains it
-    unseen_places: tuple[str, ...] = ()  # where no motion shows it, because the gain absorbs it
+    unseen_places: tuple[str, ...] = ()  # no motion shows it there: the gain absorbs it
     is_persistent: bool = False  # a property of the unit: its sizes are kept for later recordings
-    depends_on_temperature: bool = False  # its temperature counts from the recordings' mean
+    depends_on_temperature: bool = False  # its temperature is relative to the recordings' mean
     starts_at_typical_size: bool = False  # because the derivative is zero at size zero
     law_quantity: LawQuantity | None = None  # of the motion law; its values are pan and tilt
-    attitude_form: "Term | None" = None  # takes its place with a reference of attitudes
+    attitude_form: "Term | None" = None  # replaces it with a reference of attitudes
     reference_alternative: str = ""  # the same error in a reference of attitudes
     is_configuration_error: bool = False  # every rate is wrong with it: it is listed first
-    implied_by: str = ""  # a cause of positive size that makes this one no second cause
+    implied_by: str = ""  # a cause that, with a positive size, already explains this one
     unknown_site_remark: str = ""  # for a known cause: why it was not removed, with the remedy
     polynomial_orders: range = range(0)  # of a polynomial whose order the data select
 
@@ -224,7 +224,7 @@ class Term(ABC):
 
     @abstractmethod
     def describe(self, values: FloatArray) -> str:
-        """Return a sentence for the person at the rig: what these values mean."""
+        """Return a sentence that explains these values to the person at the rig."""
 
     def propagate(self, state: SignalState, values: FloatArray) -> SignalState:
         """Return the signal that later stages see, with this cause applied."""
@@ -245,7 +245,7 @@ class Term(ABC):
 
     @property
     def is_brief(self) -> bool:
-        """Whether it shows for milliseconds only: after edges of moves, as pulses or as a line."""
+        """Whether it acts for milliseconds only: after edges of moves, as pulses or as a line."""
         is_at_edges = any(name in BRIEF_COVARIATES for name in self.covariates or ())
         return is_at_edges or self.template_search in ("pulses", "spectral_lines")
 
@@ -256,11 +256,11 @@ class Term(ABC):
         return self.reason_not_testable(state)
 
     def reason_not_testable(self, state: SignalState) -> str | None:
-        """Return what samples at any rate lack to show the cause; None if nothing."""
+        """Return what a recording at any sample rate lacks to show the cause; None if nothing."""
         return NO_ANGLES if self.needs_angles and not state.has_angles else None
 
     def time_offset_ambiguity_s(self, values: FloatArray) -> float:
-        """Return how far the time offset of a later recording may be from the fitted one."""
+        """Return the possible difference of a later recording's time offset from the fitted one."""
         return 0.0
 
     def is_known_at(self, site: Site) -> bool:
@@ -280,7 +280,7 @@ class Term(ABC):
         raise NotImplementedError(f"{self.cause} has no lag by time")
 
     def data_sheet_limit(self, parameter: str, profile: SensorProfile) -> float | None:
-        """Return the data sheet's limit of a parameter's size, in the unit that people read.
+        """Return the data sheet's limit of a parameter's size, in the displayed unit.
 
         Args:
             parameter: the name without the cause; "" for the only one.
@@ -289,7 +289,7 @@ class Term(ABC):
         return None
 
     def tilt_zero_std_rad(self, values: FloatArray) -> float:
-        """Return the standard deviation of the tilt zero that this cause leaves open."""
+        """Return the standard deviation of the tilt zero that this cause makes uncertain."""
         return 0.0
 
     def bandwidth_ratio(self, values: FloatArray) -> float:
@@ -299,7 +299,7 @@ class Term(ABC):
     def off_grid_effect(self, state: SignalState, values: FloatArray) -> FloatArray | None:
         """Return the part of the effect that the sample grid cannot represent, (blocks, 3).
 
-        None if there is none. `propagate` does not pass this part on.
+        The result is None if there is no such part. `propagate` does not pass this part on.
         """
         return None
 
@@ -318,7 +318,7 @@ class Term(ABC):
         return jacobian
 
     def local_jacobian(self, state: SignalState, values: FloatArray) -> FloatArray:
-        """Return the derivatives at exactly these values, without the effect of a finite step."""
+        """Return the derivatives at exactly these values, not over a finite step."""
         return self.jacobian(state, values)
 
     def incremental_gain(self, state: SignalState, values: FloatArray) -> FloatArray | None:
@@ -330,7 +330,7 @@ class Term(ABC):
         return start_values(self)[None, :]
 
     def tangent_signals(self, state: SignalState, values: FloatArray) -> FloatArray:
-        """Return the signals to search for at one row of the bank, (sizes, blocks, 3).
+        """Return the signals of a search at one row of the bank, (sizes, blocks, 3).
 
         A derivative at size zero, or at a distant size, matches little of a nonlinear effect: 16 %
         of the energy of a backlash when the size is wrong by a factor of four.

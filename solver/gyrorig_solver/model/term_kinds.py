@@ -33,7 +33,7 @@ class LinearTerm(Term):
 
     def effect(self, state: SignalState, values: FloatArray) -> FloatArray:
         """Return the sum, shape (blocks, 3)."""
-        # With the values of one axis contiguous, the product needs no copy.
+        # If the values of one axis are contiguous, the product needs no copy.
         rows = np.swapaxes(self.basis_signals(state, values), -1, -2)
         return np.swapaxes(np.tensordot(values[self.size_indices], rows, axes=1), -1, -2)
 
@@ -199,13 +199,13 @@ def event_times(state: SignalState, count: int) -> FloatArray:
 
 
 def step_signal(state: SignalState, event_s: float) -> FloatArray:
-    """Return 0 before an event and 1 after it, (n,); its interval has a fraction."""
+    """Return 0 before an event and 1 after it, (n,), with a fraction in its interval."""
     share = (state.edges_s[1:] - event_s) / state.axis_turn.width_s
     return np.clip(share, 0.0, 1.0)
 
 
 def scan_grid(term: Term, **values: FloatArray) -> FloatArray:
-    """Return a template bank over a full grid of some parameters; the others start.
+    """Return a template bank over a full grid of some parameters; others have start values.
 
     Args:
         term: the cause.

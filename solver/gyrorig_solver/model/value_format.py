@@ -1,4 +1,4 @@
-"""Formats the numbers in the sentences of causes, in the units that engineers use at the rig."""
+"""Formats of the numbers in the sentences of causes, in the units that engineers use at the rig."""
 
 from collections.abc import Sequence
 

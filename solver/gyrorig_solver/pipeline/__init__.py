@@ -1,11 +1,11 @@
 """The pipeline from recordings to documents: load, prepare, fit, search for causes, store.
 
-The command line and the batch both call these modules. `board_data.load_board` reads a board
-once; every later step takes its `BoardData`. What depends on the kind of the reference is in
-`references`, one file per kind.
+The command line and the batch both call these modules. `board_data.load_board` reads a board once;
+every later step uses its `BoardData`. The code for each kind of reference is in `references`, one
+file per kind.
 
 What to use when: `solve_board.solve_and_store` for a calibration in a store,
-`explain_board.explain_boards` for findings, `fit_board.solve_recordings` for a fit alone.
+`explain_board.explain_boards` for findings, `fit_board.solve_recordings` for only a fit.
 """
 
 from gyrorig_solver.pipeline.board_data import BoardData, has_unit, load_board

@@ -1,7 +1,7 @@
-"""A fit with its uncertainty budget and with what is known of its unit.
+"""A fit with its uncertainty budget and with the stored posterior of its unit.
 
-What to use when: `assess_fit` before a calibration document is built; `add_to_unit` to store what
-the fit adds to the posterior of the unit.
+What to use when: `assess_fit` before a calibration document is built; `add_to_unit` to store the
+information of the fit on the unit.
 """
 
 from dataclasses import dataclass, replace
@@ -22,10 +22,10 @@ from gyrorig_solver.uncertainty import (
 
 @dataclass(frozen=True, slots=True, eq=False)
 class AssessedFit:
-    """A fit with its uncertainty budget, its values corrected by what is known of the unit."""
+    """A fit with its uncertainty budget; the unit's posterior has corrected its values."""
 
     fit: GyroFit
-    budget: UncertaintyBudget | None = None  # None where the reference gives no rates
+    budget: UncertaintyBudget | None = None  # None if the reference gives no rates
     unit_prior: UnitPriorRecord | None = None
 
 
@@ -35,7 +35,7 @@ def assess_fit(
     settings: UncertaintySettings,
     knowledge: UnitKnowledge,
 ) -> AssessedFit:
-    """Return the fit with its budget, corrected where the unit is known.
+    """Return the fit with its budget, corrected if the store has a posterior of the unit.
 
     Raises:
         InputError: the stored posterior of the unit is damaged.
@@ -67,12 +67,12 @@ def add_to_unit(
 ) -> int | None:
     """Write the next version of the unit's posterior; return its number, None if none is needed.
 
-    A fit that leaves a significant effect tells nothing reliable about the unit. Neither does a
-    board that disagrees with the others about a cause of the unit.
+    A fit that leaves a significant effect gives no reliable information about the unit. The same is
+    true for a board that disagrees with the others about a cause of the unit.
 
     Raises:
         InputError: the newest version is damaged.
-        MachineError: the store refuses.
+        MachineError: the store cannot be written.
     """
     information = None if assessed.budget is None else assessed.budget.unit_information
     if information is None or not criticised.is_adequate or criticised.disputed_causes:

@@ -21,30 +21,30 @@ from gyrorig_solver.pipeline import references
 from gyrorig_solver.pipeline.rest_check import check_rests
 from gyrorig_solver.reference import ReferenceMotion, TurnReference, read_turns
 
-if TYPE_CHECKING:  # a kind uses the data of a board
+if TYPE_CHECKING:  # the kinds of references use the data of a board
     from gyrorig_solver.pipeline.reference_kind import ReferenceKind
 
 UNIT_TOPIC = "/ptu/position"
-PIECE_SAMPLES = 1000  # that are compared at a time
+PIECE_SAMPLES = 1000  # samples per comparison
 Session = tuple[Recording, GyroSamples, ReferenceMotion]
 
 
 @dataclass(frozen=True, eq=False)
 class BoardData:
-    """A board's recordings in the order of time, and what was read from each."""
+    """A board's recordings in the order of time, and the data that were read from each."""
 
     board: str
     recordings: tuple[Recording, ...]
     samples: tuple[GyroSamples, ...]  # as recorded
-    # Used instead of those of `samples`, if a known part of the rates was subtracted.
+    # Replaces the sessions of `samples` if a known part of the rates was subtracted.
     changed_sessions: tuple[Session, ...] | None = None
-    allows_contradiction: bool = False  # of the recordings, as the user asked
-    # Remarks of the comparison of the recordings; None: they were not compared.
+    allows_contradiction: bool = False  # between the recordings, at the user's request
+    # Remarks of the comparison of the recordings; None if they were not compared.
     comparison: tuple[str, ...] | None = None
 
     @cached_property
     def kind(self) -> "ReferenceKind":
-        """The kind of reference that the recordings are solved with.
+        """The kind of reference with which the recordings are solved.
 
         Raises:
             InputError: there is no reference of any kind.
@@ -53,7 +53,7 @@ class BoardData:
 
     @property
     def missing(self) -> tuple[str, ...]:
-        """What is missing or contradictory in the recordings, one text each, and missing dates."""
+        """Texts on missing or contradictory entries of the recordings, and on missing dates."""
         losses = tuple(f"{r.path.name}: {loss.text}" for r in self.recordings for loss in r.losses)
         losses = (*(self.comparison or ()), *losses)
         undated = [r.path.name for r in self.recordings if not r.has_time_of_day]
@@ -84,8 +84,8 @@ class BoardData:
         Exact repeats and clipped samples are marked as not usable.
 
         Raises:
-            UsageError: a reference does not give the rate at each moment, the board's settings
-                differ between recordings, or a recording is given twice.
+            UsageError: a reference does not give the rate at each time, the board's settings differ
+                between recordings, or a recording is given twice.
         """
         if self.changed_sessions is not None:
             return self.changed_sessions
@@ -109,7 +109,7 @@ def load_board(
         allow_contradiction: fit the recordings together even if their gains differ.
 
     Raises:
-        InputError: the board is not in a recording, has too few samples there, or all of them are
+        InputError: a recording lacks the board or has too few samples of it, or all samples are
             equal.
     """
     ordered = in_order_of_time(recordings)
@@ -121,8 +121,8 @@ def load_changing_samples(recording: Recording, board: str) -> GyroSamples:
     """Load one board's samples from one recording.
 
     Raises:
-        InputError: the board is not in the recording, has too few samples there, or all of them
-            are equal.
+        InputError: the recording lacks the board or has too few samples of it, or all samples are
+            equal.
     """
     samples = load_samples(recording, board)
     rates = samples.rate_rad_s
@@ -153,7 +153,7 @@ def has_unit(recordings: Sequence[Recording]) -> bool:
 
 
 def reference_motion(recording: Recording, samples: GyroSamples) -> ReferenceMotion:
-    """Read the motion of a recording whose reference gives the rate at each moment.
+    """Read the motion of a recording whose reference gives the rate at each time.
 
     Raises:
         UsageError: the recording has no such reference.
@@ -170,7 +170,7 @@ def reference_motion(recording: Recording, samples: GyroSamples) -> ReferenceMot
 
 
 def check_given_once(recordings: Sequence[Recording]) -> None:
-    """Refuse a recording that is given twice.
+    """Raise an error if a recording is given twice.
 
     Raises:
         UsageError: two of the recordings have the same content.
@@ -214,7 +214,7 @@ def reference_kinds() -> "tuple[ReferenceKind, ...]":
 
 
 def find_reference(data: BoardData) -> "ReferenceKind":
-    """Return the preferred kind among those that a board's recordings have.
+    """Return the preferred kind of the references that a board's recordings have.
 
     Raises:
         InputError: the recordings have no reference of any kind.

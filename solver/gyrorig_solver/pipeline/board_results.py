@@ -1,7 +1,7 @@
-"""What is found of one board: its fit with criticism, and its findings with their report.
+"""Results of one board: its fit with criticism, and its findings with their report.
 
-What to use when: `RawChecks` of a board's samples come from `check_raw_streams` and
-`check_fitted_gain`.
+What to use when: `check_raw_streams` and `check_fitted_gain` for the `RawChecks` of a board's
+samples.
 """
 
 from dataclasses import dataclass
@@ -27,28 +27,28 @@ from gyrorig_solver.pipeline.board_data import BoardData
 from gyrorig_solver.plan import NextExperiment
 from gyrorig_solver.report import ReportSeries
 
-if TYPE_CHECKING:  # a curve completes an explanation
+if TYPE_CHECKING:  # an explanation contains a curve
     from gyrorig_solver.pipeline.rest_temperature import RestTemperature
 
 NO_CAUSE_REMARK = "the search named no cause, so the program tested no cause on {}"
-ALL_RECORDINGS = "all recordings"  # whose common gain a check is of
+ALL_RECORDINGS = "all recordings"  # subject of the check of their common gain
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BoardExplanation:
-    """The findings of one board, with what its document and its report need."""
+    """The findings of one board, with the data for its document and its report."""
 
     board: BoardId
     recordings: tuple[Recording, ...]
     findings: CauseFindings
     raw_checks: tuple[RawChecks, ...]
-    report_series: ReportSeries | None  # None: no residual to draw
+    report_series: ReportSeries | None  # None if there is no residual to draw
     remarks: tuple[str, ...]
-    fit_explanation: FitExplanation | None  # None where the reference is no unit's motion
-    fit: GyroFit | None = None  # where the reference is no unit's motion; with the named causes
-    attitude_space: AttitudeFitSpace | None = None  # where the reference is attitudes
-    temperature: "RestTemperature | None" = None  # where the bias at rest follows the temperature
-    next_experiment: NextExperiment | None = None  # where sets of causes are stated
+    fit_explanation: FitExplanation | None  # None if the reference is not a unit's motion
+    fit: GyroFit | None = None  # if the reference is not a unit's motion; with the named causes
+    attitude_space: AttitudeFitSpace | None = None  # if the reference is attitudes
+    temperature: "RestTemperature | None" = None  # if the bias at rest depends on the temperature
+    next_experiment: NextExperiment | None = None  # if sets of causes are stated
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -56,15 +56,15 @@ class CriticisedFit:
     """One board's fit with the result of its search, or with that of significance tests."""
 
     fit: GyroFit
-    solution: ConvergedFit | None  # None where the reference gives no rate at each moment
-    explanation: BoardExplanation | None = None  # where causes were searched for
-    criticism: FitCriticism | None = None  # where the model was requested
-    attitude_space: AttitudeFitSpace | None = None  # where the reference is attitudes
+    solution: ConvergedFit | None  # None if the reference gives no rate at each time
+    explanation: BoardExplanation | None = None  # if causes were searched for
+    criticism: FitCriticism | None = None  # if the user requested the model
+    attitude_space: AttitudeFitSpace | None = None  # if the reference is attitudes
     disputed_causes: tuple[str, ...] = ()  # of the unit, about which its boards disagree
 
     @property
     def is_adequate(self) -> bool:
-        """Whether no test finds an effect that the fit leaves."""
+        """Whether no test detects an effect in the residual of the fit."""
         if self.explanation is not None:
             return self.explanation.findings.unexplained is None
         return self.criticism is None or self.criticism.is_adequate

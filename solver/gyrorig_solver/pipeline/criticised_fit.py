@@ -1,11 +1,11 @@
-"""A board's fit with its criticism: every solve asks what the fit leaves.
+"""A board's fit with its criticism: every solve tests the residual of the fit.
 
-With `auto` the causes that a search names are part of the model. With a list of causes, or none,
-the model is as requested, and significance tests say what it leaves.
+With `auto`, the causes that a search names are part of the model. With a list of causes, or without
+any, the model is as requested, and significance tests show which effects remain in the residual.
 
-What to use when: `fit_criticised` for one board; `fit_together` first where boards were on one
-unit at the same time. They share the unit's motion; boards on one CAN bus also share a time base
-(`joint_data`). `solve_jointly` fits them where `can_solve_jointly` allows it; the estimator is
+What to use when: `fit_criticised` for one board; `fit_together` first, if boards were on one unit
+at the same time. They share the unit's motion; boards on one CAN bus also share a time base
+(`joint_data`). `solve_jointly` fits them if `can_solve_jointly` allows it; the estimator is
 `estimate.multi_board_fit`.
 """
 
@@ -66,7 +66,7 @@ def solve_jointly(
         extend: causes of the catalogue to fit to each board.
         named_terms: causes that a search named, by board; those with a prior from the other
             boards belong to the unit.
-        solutions: separate fits with these causes that are known already, by board.
+        solutions: separate fits with these causes that exist already, by board.
 
     Returns:
         Each board's fit, or the error that prevents it.
@@ -112,7 +112,7 @@ def solve_jointly(
 
 
 def _unit_cause_labels(separate: Iterable[ConvergedFit]) -> frozenset[str]:
-    """Return the labels of causes of the unit: by their kind, or by the search in all boards."""
+    """Return the labels of the unit's causes: by their kind, or by a search in all boards."""
     return frozenset(
         term_label(cause.term)
         for solution in separate
@@ -122,7 +122,7 @@ def _unit_cause_labels(separate: Iterable[ConvergedFit]) -> frozenset[str]:
 
 
 def can_solve_jointly(recordings: Sequence[Recording], boards: Sequence[str]) -> bool:
-    """Return whether boards can be fitted together: on one unit, and not too much data."""
+    """Return whether boards can be fitted together: on one unit, and without too much data."""
     if len(boards) < 2 or not all(UNIT_TOPIC in recording.topics for recording in recordings):
         return False
     if not all(set(boards) <= set(recording.board_ids) for recording in recordings):
@@ -156,9 +156,9 @@ def fit_together(
 ) -> dict[str, CriticisedFit | GyrorigError]:
     """Fit boards that were on one unit at the same time; return each board's fit or its error.
 
-    The result is empty where boards have to be solved one by one: another reference, the paper's
-    method, or more data than a joint fit takes. With `auto`, causes are searched in all boards
-    together.
+    The result is empty if boards have to be solved separately: with another reference, with the
+    paper's method, or with more data than a joint fit can process. With `auto`, the search for
+    causes uses all boards together.
     """
     if method != "likelihood" or not can_solve_jointly(recordings, boards):
         return {}

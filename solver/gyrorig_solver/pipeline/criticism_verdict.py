@@ -1,10 +1,10 @@
 """The verdict on a calibration after its criticism.
 
-A calibration is good only if no effect is significant in the residual of the model that it states.
-A remaining effect can move every parameter by more than its standard uncertainty.
+A calibration is good only if no effect is significant in the residual of its model. A remaining
+effect can change every parameter by more than its standard uncertainty.
 
-What to use when: `add_findings` after a search for causes, `add_criticism` after significance
-tests only.
+What to use when: `add_findings` after a search for causes, `add_criticism` after significance tests
+only.
 """
 
 from collections.abc import Sequence

@@ -1,7 +1,7 @@
 """Explain a board: checks of the raw stream, search for causes, findings document and report.
 
-What to use when: `explain_boards` for several boards, `explain_board` for one, `explain_data`
-where its recordings are loaded already; `write_explanation` for the folder of findings.
+What to use when: `explain_boards` for several boards, `explain_board` for one, `explain_data` if
+its recordings are loaded already; `write_explanation` for the folder of findings.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -51,7 +51,7 @@ def explain_boards(
     held_out: Recording | None = None,
     allow_contradiction: bool = False,
 ) -> Iterator[tuple[BoardId, BoardExplanation | GyrorigError]]:
-    """Explain several boards; those on one unit in the same recordings together.
+    """Explain several boards; boards on one unit in the same recordings are explained together.
 
     The named causes are tested on `held_out`; nothing is fitted to it.
 
@@ -146,7 +146,7 @@ def write_explanation(
 ) -> WrittenFindings:
     """Write findings, figures, page and proposed program of one board below `out`.
 
-    `program_path`: the new file of the program; by default it is beside the findings.
+    `program_path`: the new file of the program; by default it is in the folder of the findings.
 
     Raises:
         UsageError: the file of the program exists, or its folder does not.
@@ -199,7 +199,7 @@ def build_document(
     Args:
         explanation: of the board.
         figures: the figures' files by key.
-        program_path: of the proposed program; by default it is beside the document.
+        program_path: of the proposed program; by default it is in the folder of the document.
     """
     metadata = explanation.recordings[0].metadata.get(f"gyrorig.board.{explanation.board}", {})
     origin = FindingsOrigin(

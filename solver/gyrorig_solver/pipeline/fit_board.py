@@ -1,6 +1,6 @@
 """Fit one board by the best reference that its recordings have.
 
-Several boards that were on one unit at the same time are fitted in `criticised_fit`.
+`criticised_fit` fits several boards that were on one unit at the same time.
 """
 
 from collections.abc import Sequence
@@ -22,9 +22,9 @@ def solve_recordings(
     Args:
         recordings: in any order.
         board: in each of them.
-        extend: causes of the catalogue to fit in addition to the base model, where the reference
-            gives the rate at each moment.
-        named_terms: causes that a search named, to fit too; with a unit or at rest.
+        extend: causes of the catalogue to fit in addition to the base model, if the reference gives
+            the rate at each time.
+        named_terms: causes that a search named, to be fitted too; with a unit or at rest.
 
     Raises:
         InputError: the board is not in a recording, or there is no reference of any kind.

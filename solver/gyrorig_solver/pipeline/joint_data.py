@@ -45,7 +45,7 @@ def load_jointly(
 ) -> JointData:
     """Load boards' samples, with a common time base for those on one bus.
 
-    A board whose recordings contradict each other is an error; see `require_agreement`.
+    A board whose recordings contradict each other gets an error; see `require_agreement`.
     """
     ordered = in_order_of_time(recordings)
     samples: dict[str, list[GyroSamples]] = {board: [] for board in boards}

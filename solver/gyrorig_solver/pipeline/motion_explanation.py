@@ -1,4 +1,4 @@
-"""The findings of a fit to a motion whose rate is known at each moment."""
+"""The findings of a fit to a motion whose rate is known at each time."""
 
 from dataclasses import replace
 
@@ -28,7 +28,7 @@ def explain_motion(
 
     Raises:
         InputError: the board is not in `held_out`, or has too few samples there.
-        UsageError: the reference of `held_out` does not give the rate at each moment.
+        UsageError: the reference of `held_out` does not give the rate at each time.
     """
     gain_checks = check_fitted_gain(data, fit_explanation.solution_extended.gain)
     held_out_gain, held_out_remarks = _test_held_out(fit_explanation, held_out)
@@ -48,7 +48,7 @@ def explain_motion(
 
 
 def _convergence_remarks(fit_explanation: FitExplanation) -> list[str]:
-    """State that the fit of the base model did not converge, and what was left out therefore."""
+    """State that the fit of the base model did not converge, and what was therefore left out."""
     remarks = list(fit_explanation.remarks)
     base, extended = fit_explanation.solution_base, fit_explanation.solution_extended
     if not base.converged:
@@ -83,7 +83,7 @@ def _setup_remarks(data: BoardData, fit_explanation: FitExplanation) -> list[str
 def _test_held_out(
     fit_explanation: FitExplanation, held_out: Recording | None
 ) -> tuple[HeldOutGain | None, tuple[str, ...]]:
-    """Return the named causes' gain on a recording held out, and a remark where none is named."""
+    """Return the named causes' gain on a held-out recording, and a remark if no cause is named."""
     if held_out is None:
         return None, ()
     if not fit_explanation.findings.causes:

@@ -1,4 +1,4 @@
-"""A kind of reference that gives the rate at each moment, so that causes can be searched."""
+"""A kind of reference that gives the rate at each time, so that causes can be searched."""
 
 from abc import abstractmethod
 from collections.abc import Sequence

@@ -1,7 +1,7 @@
-"""The next experiment after an explanation: which program separates the causes that remain.
+"""The next experiment after an explanation: the program that separates the remaining causes.
 
-What to use when: `with_next_experiment` for the explanation of a board, `next_experiment` for a
-search alone.
+What to use when: `with_next_experiment` for the explanation of a board, `next_experiment` for only
+a search.
 """
 
 from collections.abc import Sequence
@@ -47,12 +47,12 @@ def next_experiment(
     max_duration_s: float = MAX_PROGRAM_S,
     unseen: Sequence[str] = (),
 ) -> NextExperiment | None:
-    """Return the program that separates ambiguous causes; None where it is not needed.
+    """Return the program that separates ambiguous causes; None if it is not needed.
 
     Args:
         recordings: of the explanation.
         explanation: the search for causes in these recordings.
-        unit: with the limits of the rig; by default the unit as the last recording describes it.
+        unit: with the limits of the rig; by default the unit as in the last recording.
         max_duration_s: of the program.
         unseen: causes that the program must show at their typical size.
     """

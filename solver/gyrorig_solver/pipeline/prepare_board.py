@@ -1,8 +1,8 @@
-"""Prepare a board, whose rate the reference gives at each moment, for its fit.
+"""Prepare a board, with a reference that gives the rate at each time, for its fit.
 
-What to use when: `prepare_board` for a calibration, alone (`PreparedBoard.solve`) or together
-with other boards (`criticised_fit`); `fit_base` for the fit from which causes are searched;
-`prepare_held_out` for a recording on which a fitted model is tested.
+What to use when: `prepare_board` for a calibration, of one board (`PreparedBoard.solve`) or
+together with other boards (`criticised_fit`); `fit_base` for the fit from which the search for
+causes starts; `prepare_held_out` for a recording on which a fitted model is tested.
 """
 
 from collections.abc import Mapping, Sequence
@@ -31,7 +31,7 @@ from gyrorig_solver.pipeline.term_selection import TermSelection, select_terms
 from gyrorig_solver.reference import PanTiltReference, ReferenceMotion
 from gyrorig_solver.reference.unit.counted_reference import CountedReference
 
-MAX_SAMPLES_FOR_LEVEL = 4_000_000  # beyond, the accelerations need too much memory
+MAX_SAMPLES_FOR_LEVEL = 4_000_000  # more accelerations need too much memory
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -41,7 +41,7 @@ class PreparedBoard:
     sessions: Sequence[Session]
     selection: TermSelection
     contexts: Sequence[RecordingContext]
-    remedies: Mapping[str, str]  # by what the motion may not show
+    remedies: Mapping[str, str]  # by what the motion may fail to show
     warnings: tuple[str, ...]
 
     def solve(self) -> ConvergedFit:
@@ -85,12 +85,12 @@ def prepare_board(
 def fit_base(data: BoardData) -> ConvergedFit:
     """Fit the base model to a board on a unit, or at rest throughout.
 
-    The contexts of the recordings are set, and the Earth's rotation is included where the site
-    is known, so that causes can be searched from this fit.
+    The fit has the contexts of the recordings, and includes the Earth's rotation if the site is
+    known, so that causes can be searched from this fit.
 
     Raises:
         UsageError: the recordings cannot be fitted together, or a reference does not give the rate
-            at each moment.
+            at each time.
     """
     return prepare_board(data).solve()
 
@@ -106,12 +106,12 @@ def prepare_held_out(
     Args:
         recording: with a pan-tilt unit, or at rest.
         board: in it.
-        solution: one of the models; temperatures count from its mean.
-        samples: used instead of the recording's own.
+        solution: one of the models; temperatures are relative to its mean.
+        samples: used instead of the samples of the recording.
 
     Raises:
         InputError: the board is not in the recording, or has too few samples.
-        UsageError: the reference does not give the rate at each moment.
+        UsageError: the reference does not give the rate at each time.
     """
     context = solution.sessions[0].context
     temperature = None if context is None else context.temperature
@@ -124,7 +124,7 @@ def prepare_held_out(
 
 
 def stage_level(samples: GyroSamples, reference: ReferenceMotion) -> LevelEstimate | None:
-    """Estimate the stage's level from the accelerometer; None where it cannot be estimated."""
+    """Estimate the stage's level from the accelerometer; None if it cannot be estimated."""
     if not isinstance(reference, PanTiltReference) or samples.number.size > MAX_SAMPLES_FOR_LEVEL:
         return None
     accel = samples.accel_m_s2

@@ -1,7 +1,7 @@
-"""Refuse recordings of one board that contradict each other before they are fitted together.
+"""Reject recordings of one board that contradict each other before they are fitted together.
 
-A model of one gain has no causes for two gains. A search would try every cause, take very long,
-and find a wrong one.
+A model with one gain has no causes for two gains. A search would try every cause, take very long,
+and name a wrong one.
 """
 
 from collections.abc import Iterable
@@ -83,7 +83,7 @@ def _split(data: BoardData) -> Iterable[BoardData]:
 
 
 def _fit_alone(data: BoardData) -> ConvergedFit | None:
-    """Return the fit of one recording, None if it alone cannot be fitted."""
+    """Return the fit of one recording, None if the recording cannot be fitted alone."""
     try:
         fit = fit_base(data)
     except InputError:

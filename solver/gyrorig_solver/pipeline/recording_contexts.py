@@ -1,4 +1,4 @@
-"""What causes beyond the base model may look at, from a recording: site, temperature, moves."""
+"""Data of a recording that causes beyond the base model use: site, temperature, moves."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -19,15 +19,15 @@ def read_contexts(
     recordings: Sequence[tuple[Recording, GyroSamples, ReferenceMotion | None]],
     mean_degc: float | None = None,
 ) -> list[RecordingContext]:
-    """Return the setting of each recording of one board.
+    """Return the context of each recording of one board.
 
     Args:
         recordings: in the order in which they are fitted.
-        mean_degc: what temperatures count from; by default the mean of all recordings, so
-            that one polynomial holds.
+        mean_degc: reference temperature; by default the mean of all recordings, so that one
+            polynomial applies to all.
 
     Raises:
-        InputError: the metadata say what cannot be.
+        InputError: the metadata have impossible values.
     """
     reference_degc = mean_of([s for _, s, _ in recordings]) if mean_degc is None else mean_degc
     return [
@@ -37,10 +37,10 @@ def read_contexts(
 
 
 def read_site(recording: Recording) -> Site:
-    """Return where the rig stands, as far as the recording says.
+    """Return the site of the rig, as far as the recording has it.
 
     Raises:
-        InputError: an entry is no number, or no place on Earth.
+        InputError: an entry is not a number, or not a place on Earth.
     """
     site = recording.metadata.get("gyrorig.site", {})
     latitude = _site_angle(site, "latitude_deg", 90.0)

@@ -1,8 +1,8 @@
 """The interface of a kind of reference to the pipeline.
 
-What to use when: subclass `ReferenceKind` for a reference with a separate fit, for example to
-the angle of each turn; subclass `motion_kind.MotionKind` for one that gives the rate at each
-moment.
+What to use when: subclass `ReferenceKind` for a reference with a separate fit, for example to the
+angle of each turn; subclass `motion_kind.MotionKind` for a reference that gives the rate at each
+time.
 """
 
 from abc import ABC, abstractmethod
@@ -33,13 +33,14 @@ NO_RATES_REMARK = (
 
 
 class ReferenceKind(ABC):
-    """A kind of reference: whether recordings have it, and what is fitted to it."""
+    """A kind of reference: whether recordings have it, and the fit to it."""
 
-    title: str  # in a list of what a recording can have, for example "known turns"
-    preference: int  # of the kinds that the recordings have, the smallest number is used
-    is_suggested = True  # where recordings have no reference of any kind
+    title: str  # in a list of possible references, for example "known turns"
+    preference: int  # if recordings have several kinds, the kind with the smallest number is used
+    is_suggested = True  # in the message that recordings have no reference of any kind
     can_be_searched = False  # whether causes can be searched in the residual of its fit
-    # What to record for `x`, `y`, `z` (gain columns), `bias` and `time_offset`, for a motion.
+    # Instructions for recording `x`, `y`, `z` (gain columns), `bias` and `time_offset`, for a
+    # motion.
     remedies: Mapping[str, str] = MappingProxyType({})
 
     @abstractmethod
@@ -55,7 +56,7 @@ class ReferenceKind(ABC):
         Args:
             data: of the board.
             extend: causes of the catalogue to fit in addition to the base model.
-            named_terms: causes that a search named, to fit too.
+            named_terms: causes that a search named, to be fitted too.
 
         Raises:
             InputError: the data are not sufficient.
@@ -63,7 +64,7 @@ class ReferenceKind(ABC):
         """
 
     def fit_criticised(self, data: BoardData, requested: Sequence[str]) -> CriticisedFit:
-        """Fit a board with requested causes, and test what the fit leaves; errors as `fit`."""
+        """Fit a board with requested causes, and test the residual; errors as `fit`."""
         return CriticisedFit(self.fit(data, requested), None, criticism=FitCriticism())
 
     def fit_explained(
@@ -102,7 +103,7 @@ class ReferenceKind(ABC):
         )
 
     def read_motion(self, recording: Recording, samples: GyroSamples) -> ReferenceMotion | None:
-        """Return the motion on the samples' time axis, None if there is none at each moment."""
+        """Return the motion on the samples' time axis, None if it is not known at each time."""
         del recording, samples
         return None
 
@@ -112,7 +113,7 @@ class ReferenceKind(ABC):
 
 
 def refuse_causes(extend: Sequence[str]) -> None:
-    """Refuse causes where the fit to the reference cannot contain them.
+    """Raise an error for causes if the fit to the reference cannot contain them.
 
     Raises:
         UsageError: a cause is given.

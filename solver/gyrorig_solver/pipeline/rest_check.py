@@ -1,7 +1,7 @@
-"""Whether a section that is marked as a rest is at rest.
+"""Check whether a section that is marked as a rest is at rest.
 
-A map or a motion program states the rests, and nothing in the data proves it. A bias from a section
-in which the board moves is wrong without a sign of it: its scatter can be small.
+An import map or a motion program states the rests, and nothing in the data proves it. If the board
+moves in such a section, the bias is wrong without any sign of it: its scatter can be small.
 """
 
 from collections.abc import Sequence
@@ -20,19 +20,21 @@ from gyrorig_solver.reference import TimeInterval
 
 MEAN_S, WINDOW_S = 0.1, 1.0  # of short means, and of the windows in which they are compared
 MIN_WINDOWS = 2
-# Rates of a hand that holds a board still are larger; vibration has no mean over 0.1 s.
+# A hand that holds a board still causes larger rates; vibration has no mean over 0.1 s.
 MIN_MOTION_RAD_S = float(np.radians(0.3))
 NOISE_FACTOR = 8.0  # above the noise of a short mean
 MAX_NOISE_RAD_S = float(np.radians(0.1))  # of a short mean of a part without a profile
 MAX_MOVING_SHARE = 0.2  # of the windows; knocks are fewer
-MAX_TURN_RAD = float(np.radians(10.0))  # in the windows with motion, relative to the median rate
-# Twice the data sheet's zero-rate limit, which holds for a new part at 25 degC; parts that were
-# soldered are off by several deg/s (config/boards/BMI270.yaml).
+# integrated over the windows with motion, relative to the median rate
+MAX_TURN_RAD = float(np.radians(10.0))
+# Relative to the data sheet's zero-rate limit, which is valid for a new part at 25 degC. Soldered
+# parts can differ by several deg/s (config/boards/BMI270.yaml).
 ZERO_RATE_FACTOR = 2.0
 MIN_BIAS_LIMIT_RAD_S = float(np.radians(5.0))
 MAX_BIAS_RAD_S = float(np.radians(30.0))  # of a part without a profile
 MAX_FORCE_STEP_M_S2 = 0.15  # between two windows: gravity turns by 0.9 deg
-MAX_FORCE_CHANGE_M_S2 = 1.0  # over a rest: more than the offset changes with the temperature
+# over a rest; larger than the change of the offset with the temperature
+MAX_FORCE_CHANGE_M_S2 = 1.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -157,6 +159,6 @@ def _cut_windows(samples: GyroSamples, rest: TimeInterval) -> _Windows | None:
 
 
 def _group_means(values: FloatArray, group: IntArray, count: IntArray) -> FloatArray:
-    """Return the mean of each group, (groups, 3), nan where it is empty."""
+    """Return the mean of each group, (groups, 3), nan if it is empty."""
     sums = np.stack([np.bincount(group, axis, count.size) for axis in values.T], axis=1)
     return np.asarray(sums / np.where(count > 0, count, np.nan)[:, None], dtype=np.float64)

@@ -1,7 +1,7 @@
-"""The bias against the temperature, from recordings at rest: fitted, subtracted and reported.
+"""Bias over temperature from recordings at rest: fitted, subtracted and reported.
 
 What to use when: `measure_rests` for the windows of the bias; `RestTemperature.find` for the curve,
-with which a board's data are solved again and the result is completed.
+with which a board is solved again and its result is completed.
 """
 
 from collections.abc import Sequence
@@ -31,9 +31,9 @@ from gyrorig_solver.pipeline.board_results import BoardExplanation
 MAX_WINDOWS = 600  # of the longest recording
 MIN_WINDOW_S = 1.0
 MIN_WINDOWS = 20  # of a recording
-KNOCK_SIGMA = 6.0  # a sample this far from the others is a knock
+KNOCK_SIGMA = 6.0  # a sample with this deviation from the others is a knock
 SMOOTHING_S = 20.0  # of the thermometer
-ACTING_SIGMA = 3.0  # an axis with a coefficient this many deviations from zero is named
+ACTING_SIGMA = 3.0  # an axis with a coefficient this many standard deviations from zero is named
 CHANGE_REMARK = (
     "the bias changed by {} deg/s (standard deviations of x, y, z) during the recording. The "
     "uncertainty of the bias includes this change"
@@ -55,7 +55,7 @@ class RestWindows:
 
     @property
     def change(self) -> BiasChange:
-        """How much the bias changed."""
+        """The change of the bias."""
         return measure_bias_change(self.biases)
 
 
@@ -91,7 +91,7 @@ def _bias_windows(session: Session, step_s: float) -> tuple[FloatArray, FloatArr
     window = np.minimum(((samples.time_s[used] - begin_s) / step_s).astype(np.int64), count - 1)
     rate = samples.gyro.values(used)
     keep = np.ones(used.size, dtype=np.bool_)
-    for _ in range(2):  # the second time without knocks
+    for _ in range(2):  # the second pass is without knocks
         number = np.maximum(np.bincount(window[keep], minlength=count), 1)
         mean = np.stack(
             [np.bincount(window[keep], rate[keep, a], count) / number for a in range(3)], axis=1
@@ -117,7 +117,7 @@ class RestTemperature:
 
     @classmethod
     def find(cls, data: BoardData) -> "RestTemperature | None":
-        """Return the curve if the bias depends on the temperature, None if not."""
+        """Return the curve if the bias depends on the temperature, else None."""
         windows = measure_rests(data.sessions)
         if windows is None:
             return None
@@ -135,7 +135,7 @@ class RestTemperature:
         return None if fit is None or not fit.is_significant else cls(fit, known)
 
     def removed_from(self, data: BoardData) -> BoardData:
-        """Return data whose bias is that at the reference temperature."""
+        """Return data whose bias is the bias at the reference temperature."""
         changed = tuple(
             (recording, self._subtract(samples, temperature), reference)
             for (recording, samples, reference), temperature in zip(
@@ -189,7 +189,7 @@ class RestTemperature:
         """Return the finding `thermal_bias`.
 
         Args:
-            tests: how many share the false alarms.
+            tests: the number of tests that share the false-alarm probability.
         """
         cubic, _ = self.fit.curve.as_cubic()
         order = len(cubic.coefficients)

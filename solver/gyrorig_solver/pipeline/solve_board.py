@@ -1,7 +1,7 @@
 """Solve a board: fit, calibration document, next version in the store, report.
 
-What to use when: `solve_and_store` for one board; `fit_together` first where boards were on one
-unit at the same time; `rebuild_report_data` for the report of a stored calibration.
+What to use when: `solve_and_store` for one board; `fit_together` first, if boards were on one unit
+at the same time; `rebuild_report_data` for the report of a stored calibration.
 """
 
 from collections.abc import Callable, Sequence
@@ -54,13 +54,13 @@ FINDINGS_SUFFIX = ".findings.yaml"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StoredResult:
-    """One board's calibration as it was written to the store."""
+    """One board's calibration as written to the store."""
 
     calibration: CalibrationDocument
     path: Path
     report: Path
     stored: StoredVersion
-    explanation: BoardExplanation | None = None  # where causes were searched for
+    explanation: BoardExplanation | None = None  # if causes were searched for
     unit_version: int | None = None  # of the unit's posterior, if the solve added one
 
 
@@ -81,22 +81,22 @@ def solve_and_store(
     Args:
         store: of the versions.
         recordings: at least one, each with the board in it; solved together.
-        board: which one.
+        board: id of the board.
         method: `likelihood` or `paper`.
-        extend: causes of the catalogue to fit, `auto` for those that a search names; used by
-            `likelihood` only.
+        extend: causes of the catalogue to fit, `auto` for those that a search names; only for the
+            method `likelihood`.
         precomputed: the result of `fit_together` for this board, used instead of a new fit.
-        before_writing: called before the version is written; an error that it raises prevents
-            the writing.
+        before_writing: called before the version is written; if it raises an error, nothing is
+            written.
         uncertainty: prior sizes of the causes and limits of the verdict; by default the shipped
             ones.
-        unit_knowledge: what is known of the unit, and where the solve adds to it; by default
-            nothing.
+        unit_knowledge: source of the unit's posterior, to which the solve adds its information; by
+            default none.
         allow_contradiction: solve the recordings together even if their gains differ.
 
     Raises:
-        InputError: the recordings lack something that the method needs, or the stored posterior
-            of the unit is damaged.
+        InputError: the recordings lack data that the method needs, or the stored posterior of the
+            unit is damaged.
         UsageError: the recordings cannot be solved together.
         MachineError: the store cannot be written.
     """
@@ -204,10 +204,11 @@ def _report_data(calibration: CalibrationDocument, fit: GyroFit | None) -> Repor
 def rebuild_report_data(
     calibration: CalibrationDocument, recordings: Sequence[Recording]
 ) -> ReportData:
-    """Return the data of a stored calibration's report, its arrays computed again.
+    """Return the data of a stored calibration's report, with newly computed arrays.
 
     Raises:
-        InputError: the recordings are others, or the settings of the solve are not known.
+        InputError: the recordings differ from those of the calibration, or the settings of the
+            solve are not known.
     """
     given = {recording.sha256: recording.path.name for recording in recordings}
     needed = {row.sha256: row.name for row in calibration.inputs}
@@ -230,7 +231,7 @@ def rebuild_report_data(
 
 
 def _requested_causes(calibration: CalibrationDocument) -> tuple[str, ...]:
-    """Return the causes that were requested: those whose settings have the document's digest."""
+    """Return the requested causes: those whose settings have the document's digest."""
     causes = tuple(t for t in calibration.solver.terms if t in catalogue())
     for extend in ((), (AUTO,), *(causes[:k] for k in range(1, len(causes) + 1))):
         if settings_sha256(likelihood_settings(extend)) == calibration.solver.config_sha256:
@@ -248,7 +249,8 @@ def with_search_findings(
 ) -> CalibrationDocument:
     """Return a calibration with the findings of the search and their effect on the verdict."""
     findings = build_document(explanation)
-    # The search on a unit fits what it names, or the motion's own unknowns contain it.
+    # The search on a unit fits the causes that it names, or the unknowns of the motion contain
+    # them.
     is_fitted = explanation.fit_explanation is not None
     named = [] if is_fitted else [cause.term for cause in explanation.findings.causes]
     return msgspec.structs.replace(
@@ -256,7 +258,7 @@ def with_search_findings(
         findings=FindingsReference(
             verdict=findings.verdict,
             causes=[cause.cause for cause in findings.causes],
-            file="",  # named by `_as_version`
+            file="",  # filled in by `_as_version`
         ),
     )
 

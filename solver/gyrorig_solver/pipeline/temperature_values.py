@@ -1,4 +1,4 @@
-"""Bias and scale against the temperature from values without times: tables and calibrations.
+"""Bias and scale factor over temperature from values without times: tables and calibrations.
 
 What to use when: `read_values` for the inputs, `with_temperature_curves` for the calibration.
 """
@@ -41,7 +41,7 @@ AXES = ("x", "y", "z")
 UNITS = {"rad/s": 1.0, "deg/s": float(np.pi / 180.0), "deg/h": float(np.pi / 648000.0)}
 MIN_ROWS = 4
 TEMPERATURE_RANGE_DEGC = (-100.0, 250.0)  # of electronics, with a margin
-MAX_BIAS_RAD_S = 100.0  # more than the full scale of any gyroscope
+MAX_BIAS_RAD_S = 100.0  # larger than the full scale of any gyroscope
 MIN_SCALE, MAX_SCALE = 0.1, 10.0  # relative to the nominal scale factor
 CALIBRATION_SUFFIXES = (".yaml", ".yml")
 NO_MOTION_REASON = (
@@ -61,8 +61,8 @@ class TemperatureValues:
     source: str
     temperature_degc: FloatArray  # (n,)
     bias: FloatArray  # (n, 3), rad/s
-    bias_std: FloatArray  # (n, 3), zero where it is not known
-    scale: FloatArray | None  # (n, 3); None: not given
+    bias_std: FloatArray  # (n, 3), zero if it is not known
+    scale: FloatArray | None  # (n, 3); None if it is not given
     scale_std: FloatArray | None
     template: CalibrationDocument | None  # the last calibration among the inputs
 
@@ -205,7 +205,7 @@ def _table_row(row: dict[str, str], number: int, name: str, unit: float) -> dict
 
 
 def _limits(column: str) -> tuple[float, float]:
-    """Return the smallest and the largest value of a column that is possible, in SI units."""
+    """Return the smallest and the largest possible value of a column, in SI units."""
     if column == "temperature_degc":
         return TEMPERATURE_RANGE_DEGC
     if "_std_" in column:
@@ -300,7 +300,7 @@ def _matrices(document: CalibrationDocument) -> Matrices:
 
 
 def document_without_motion(board: str, sensor: str) -> CalibrationDocument:
-    """Return a calibration of a board whose bias alone is known, to be completed."""
+    """Return a calibration of a board that has only a bias, to be completed."""
     unknown = [None, None, None]
     units = {"bias": "rad/s", "scale": "1", "nonorthogonality": "1", "misalignment": "rad"}
     parameters = {name: Parameter(list(unknown), list(unknown), u) for name, u in units.items()}

@@ -1,8 +1,8 @@
-"""Which causes beyond the base model a solve takes in, and what it says of those it does not.
+"""Causes beyond the base model that a solve includes, and remarks on those that it does not.
 
-Known ones (the Earth's rotation) are taken where the recording says enough. Asked-for ones
-are fitted where the recordings can carry them. A temperature polynomial has the order that
-windows left out bear, and none below 10 K.
+The solve includes known causes (the Earth's rotation) if the recording has the data for them. It
+fits requested causes if the recordings can determine them. The order of a temperature polynomial is
+chosen with windows that are left out of the fit; below 10 K there is no polynomial.
 """
 
 from collections.abc import Sequence
@@ -29,22 +29,22 @@ THERMAL_LAGS_S = (0.0, -15.0, 15.0, -30.0, 30.0, -60.0, 60.0)  # of the die, or 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TermSelection:
-    """The causes that take part, and words for those that do not."""
+    """The causes that a solve includes, and remarks on those that it does not."""
 
     extensions: tuple[FittedTerm, ...] = ()
     contexts: tuple[RecordingContext, ...] = ()
     remarks: tuple[str, ...] = ()
-    remedies: dict[str, str] = field(default_factory=dict)  # of values that stay hidden
+    remedies: dict[str, str] = field(default_factory=dict)  # of values that the motion may not show
 
 
 def select_terms(
     loaded: LoadedRecordings, extend: Sequence[str], named_terms: Sequence[FittedTerm] = ()
 ) -> TermSelection:
-    """Return the causes to take into a fit of one board.
+    """Return the causes to include in a fit of one board.
 
     Raises:
         UsageError: an id is not known, or no fit can show that cause.
-        InputError: the metadata say what cannot be.
+        InputError: the metadata have impossible values.
     """
     check_fittable(extend)
     named_causes = {fitted_term.term.cause for fitted_term in named_terms}
@@ -79,7 +79,7 @@ def select_terms(
 
 
 def _per_recording(extension: FittedTerm, recordings: int) -> list[FittedTerm]:
-    """Return a cause as it is, or one for each recording where it is a recording's."""
+    """Return a cause as it is, or one for each recording if it is a cause of a recording."""
     if recordings == 1 or extension.term.scope != "recording":
         return [extension]
     return [
@@ -126,7 +126,7 @@ def _check_cause(cause: str) -> None:
 def _fittable_term(
     cause: str, loaded: LoadedRecordings, settings: Sequence[RecordingContext]
 ) -> tuple[FittedTerm | None, str]:
-    """Return a cause ready to be fitted, or None and why not, with the remedy."""
+    """Return a cause ready to be fitted, or None and the reason, with the remedy."""
     if find_term(cause).depends_on_temperature:
         readings = [s.temperature.degc for s in settings if s.temperature is not None]
         if len(readings) < len(settings):
@@ -145,7 +145,7 @@ def _fittable_term(
 def _polynomial_term(
     term: Term, loaded: LoadedRecordings, settings: Sequence[RecordingContext]
 ) -> tuple[FittedTerm | None, str]:
-    """Choose the order by windows of the base fit's residual that were left out."""
+    """Choose the order with windows of the base fit's residual that are left out of the fit."""
     sessions = []
     for (_, samples, reference), setting in zip(loaded, settings, strict=True):
         series, sampling = build_series(samples, reference.common_shift_std_s)

@@ -1,7 +1,7 @@
-"""The posterior of a unit as the prior of a solve, and what the solve adds to it.
+"""The posterior of a unit as the prior of a solve, and the information that the solve adds.
 
-What to use when: `UnitKnowledge` for a store or for a file that a user names;
-`unit_identity` for the unit of recordings.
+What to use when: `UnitKnowledge` for a store or for a file that a user names; `unit_identity` for
+the unit of recordings.
 """
 
 from collections.abc import Sequence
@@ -30,8 +30,9 @@ from gyrorig_solver.uncertainty import UncertaintySettings, UnitPosterior
 from gyrorig_solver.uncertainty.unit_values import UnitInformation
 
 MIN_ENTROPY_GAIN = 0.05  # nats; a recording that adds less is not counted
-CONFLICT_P_VALUE = 1e-6  # below, the unit is not what it was
-MIN_RELATIVE_INFORMATION = 1e-6  # of the prior's: directions that a recording does not show
+CONFLICT_P_VALUE = 1e-6  # below this p-value, the unit has changed
+# relative to the prior; smaller in directions that a recording does not show
+MIN_RELATIVE_INFORMATION = 1e-6
 CONFLICT_REMARK = (
     "the recording contradicts the stored posterior of the unit, so the solver did not use that "
     "posterior. The unit has changed, or another unit has the same name"
@@ -40,16 +41,16 @@ CONFLICT_REMARK = (
 
 @dataclass(frozen=True, slots=True)
 class UnitPrior:
-    """What is known of the unit before a solve."""
+    """The posterior of the unit before a solve, and its record."""
 
     posterior: UnitPosterior
     record: UnitPriorRecord
 
 
 def unit_identity(recordings: Sequence[Recording]) -> UnitIdentity | None:
-    """Return the unit of all recordings: by its serial number, else by the id of its rig.
+    """Return the unit of all recordings: by its serial number, or else by the id of its rig.
 
-    None where a recording has neither, or where the recordings are of different units.
+    The result is None if a recording has neither, or if the recordings are of different units.
     Recordings without a unit's motion do not count.
     """
     identities = {
@@ -63,7 +64,7 @@ def read_unit_file(path: Path) -> UnitPosteriorDocument:
 
     Raises:
         UsageError: it cannot be read.
-        InputError: it is no posterior of a unit.
+        InputError: it is not a posterior of a unit.
     """
     try:
         return parse_unit(path.read_bytes(), str(path))
@@ -77,10 +78,10 @@ def read_unit_file(path: Path) -> UnitPosteriorDocument:
 
 @dataclass(frozen=True, slots=True)
 class UnitKnowledge:
-    """Where a solve reads what is known of the unit.
+    """Source of the unit's posterior for a solve.
 
-    With a store, the newest version is the prior and a new version is written. With a document
-    alone, it is the prior of every unit and nothing is written.
+    With a store, the newest version is the prior and the solve writes a new version. With only a
+    document, it is the prior of every unit and the solve writes nothing.
     """
 
     store: UnitStore | None = None
@@ -89,7 +90,7 @@ class UnitKnowledge:
     def prior_of(
         self, recordings: Sequence[Recording], settings: UncertaintySettings
     ) -> UnitPrior | None:
-        """Return the prior of a solve of recordings; None if nothing is known of their unit.
+        """Return the prior of a solve of recordings; None if there is none for their unit.
 
         Raises:
             InputError: a stored version is damaged.
@@ -142,7 +143,7 @@ class UnitKnowledge:
 
 
 def contradicts(prior: UnitPosterior, information: UnitInformation) -> bool:
-    """Return whether a recording contradicts what is known of the unit.
+    """Return whether a recording contradicts the posterior of the unit.
 
     The score at the prior's mean has covariance M + M P M. Its square in these units is chi-square
     distributed if the prior is right.

@@ -3,8 +3,9 @@
 What to use when: `rig_model.load_rig` for the rig; `prediction.predict_program` for the standard
 uncertainties of a program; `program_search.find_program` for the best program in a given time;
 `detectability.predict_detectability` for the causes that a program detects;
-`separation.propose_program` for a program that separates causes between which a search could not.
-`program_family` has the programs that are searched, `program_timeline` simulates their execution.
+`separation.propose_program` for a program that separates the causes that a search could not
+separate. `program_family` has the programs that the planner searches, `program_timeline` simulates
+their execution.
 """
 
 from gyrorig_solver.plan.detectability import DetectabilityReport, predict_detectability

@@ -10,17 +10,18 @@ from gyrorig_solver.estimate.typical_board import TYPICAL_PARAMETERS
 
 Criterion = Literal["worst", "mean", "worst-factor", "mean-factor"]
 CRITERIA: tuple[str, ...] = get_args(Criterion)
-# How far above its floor a program may leave a bias. The floor is the noise over the same time
-# at rest, which no motion passes under; above it is what the rests' detents shift the mean by.
+# Largest relative excess of a bias uncertainty over its floor. The floor is the noise of a
+# recording of the same length at rest; no motion has a smaller uncertainty. The excess comes from
+# the detents of the rests, which shift the mean rate.
 MAX_BIAS_EXCESS = 0.002
-BIAS_PENALTY_SLOPE = 100.0  # one per cent beyond that doubles the cost
+BIAS_PENALTY_SLOPE = 100.0  # an excess of one per cent beyond that doubles the cost
 
 
 def cost(decision: ObservabilityAnalysis, criterion: Criterion) -> float:
     """Return the largest or the mean standard uncertainty of nine parameters.
 
-    `worst` and `mean` look at the entries of the gain, `worst-factor` and `mean-factor` at
-    scale, non-orthogonality and misalignment. What cannot be seen has its prior's.
+    `worst` and `mean` use the entries of the gain, `worst-factor` and `mean-factor` use scale,
+    non-orthogonality and misalignment. An unobservable parameter has the uncertainty of its prior.
     """
     if criterion.endswith("factor"):
         covariance = propagate_to_factors(
@@ -37,7 +38,7 @@ def bias_excess(decision: ObservabilityAnalysis, floor_rad_s: FloatArray) -> flo
 
     Args:
         decision: over gain, bias and time offset.
-        floor_rad_s: the deviation of the noise's mean over the recording, shape (3,).
+        floor_rad_s: the standard deviation of the noise's mean over the recording, shape (3,).
     """
     std = np.sqrt(np.diag(decision.covariance + decision.unobservable_covariance)[9:12])
     return float(np.max(std / floor_rad_s) - 1.0)

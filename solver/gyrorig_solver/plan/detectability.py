@@ -1,9 +1,9 @@
 """Detectability of each cause of the catalogue under a program.
 
-A cause is projected orthogonally to the fitted parameters (gain, bias, time offset, the motion's
-own unknowns) and whitened by the noise. The remainder determines its minimum detectable size, its
-similarity to other causes, and the bias of the calibration while it is not detected (geodesy:
-external reliability, Baarda).
+A cause is projected orthogonally to the fitted parameters (gain, bias, time offset, the unknowns of
+the motion) and whitened by the noise. The remainder determines its minimum detectable size, its
+similarity to other causes, and the bias of the calibration while the cause is not detected
+(geodesy: external reliability, Baarda).
 
 What to use when: `predict_detectability` for a program; `detectability_table` prints its result.
 """
@@ -34,10 +34,11 @@ from gyrorig_solver.plan.scan_templates import (
 )
 from gyrorig_solver.plan.sensor_model import SensorModel
 
-CONFUSABLE_SHARE = 0.5  # share of a cause's energy that another may take before they are confusable
+# of a cause's energy; a pair is confusable if one cause absorbs a larger share of the other
+CONFUSABLE_SHARE = 0.5
 MAX_SHARED_ENERGY, UNDETECTABLE_SIZE = 0.99, 1000.0
-SIZE_EXPONENTS = (0.5, 4.0)  # of its size that an effect may grow with
-MAX_BATCH_VALUES = 2_000_000  # of the causes' derivatives on one sensor axis, held at a time
+SIZE_EXPONENTS = (0.5, 4.0)  # bounds of the exponent with which an effect grows with its size
+MAX_BATCH_VALUES = 2_000_000  # of the causes' derivatives on one sensor axis, in memory at a time
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -45,23 +46,23 @@ class CauseDetectability:
     """The detectability of one cause at one of its places under a program."""
 
     term: Term
-    place: str | None  # x, y, z, pan, tilt; None where it has none
-    best_direction_size: float  # detectable size, SI, in the direction that shows best
-    worst_direction_size: float  # in the direction that shows least
+    place: str | None  # x, y, z, pan, tilt; None if it has no place
+    best_direction_size: float  # detectable size, SI, in the most visible direction
+    worst_direction_size: float  # in the least visible direction
     typical: float  # size of an ordinary rig, SI
     unit: str
-    absorbed: float  # share of the effect's energy that the fit takes for its own
-    biased_parameter: str  # which parameter it moves most, undetected
-    parameter_bias_sigma: float  # by how many standard deviations, at its detectable size
+    absorbed: float  # share of the effect's energy that the fitted parameters absorb
+    biased_parameter: str  # parameter with the largest bias if the cause is not detected
+    parameter_bias_sigma: float  # this bias at the detectable size, in standard deviations
     template: ScanTemplate
-    max_shared_energy: float = 0.0  # share of its energy that the likest other cause takes
+    max_shared_energy: float = 0.0  # share of its energy that the most similar other cause absorbs
 
     @property
     def identifiable_size(self) -> float:
-        """Size from which the cause is distinguished from the most similar other cause, SI.
+        """Size from which the cause can be separated from the most similar other cause, SI.
 
-        The share that the other absorbs is lost; of nearly equal causes, which no motion separates,
-        `MAX_SHARED_ENERGY` counts as taken.
+        The share of energy that the other cause absorbs does not count. For nearly equal causes,
+        which no motion separates, this share is limited to `MAX_SHARED_ENERGY`.
         """
         return self.worst_direction_size / float(
             np.sqrt(1.0 - min(self.max_shared_energy, MAX_SHARED_ENERGY))
@@ -80,7 +81,7 @@ class ConfusablePair:
 
     causes: tuple[str, str]
     places: tuple[str | None, str | None]
-    share: float  # of one's energy that the other takes
+    share: float  # of the energy of one cause that the other absorbs
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -88,19 +89,19 @@ class DetectabilityReport:
     """The detectability of the whole catalogue under a program."""
 
     causes: tuple[CauseDetectability, ...]
-    confusable_pairs: tuple[ConfusablePair, ...]  # the likest first
+    confusable_pairs: tuple[ConfusablePair, ...]  # the most similar first
     fully_absorbed: tuple[
         Term, ...
-    ]  # seen by no program: gain, bias and time offset take them whole
-    other_methods: tuple[Term, ...]  # seen in the noise or the raw stream, not in a motion
-    not_applicable: tuple[tuple[Term, str], ...]  # cannot be looked at here, and why
+    ]  # not visible in any program: gain, bias and time offset absorb them completely
+    other_methods: tuple[Term, ...]  # detected in the noise or the raw stream, not in a motion
+    not_applicable: tuple[tuple[Term, str], ...]  # cannot be tested here, with the reason
 
     @property
     def mean_identifiable_size(self) -> float:
         """Geometric mean over the causes of the identifiable size in typical sizes.
 
-        A geometric mean, so that a cause ten times better known counts as much as another ten
-        times worse. What is not seen at all counts as `UNSEEN`.
+        With a geometric mean, a cause that is known ten times better counts as much as another one
+        that is known ten times worse. An undetectable cause counts as `UNDETECTABLE_SIZE`.
         """
         logs: dict[str, list[float]] = {}
         for cause in self.causes:
@@ -169,7 +170,7 @@ class _TemplateDetectability:
 
 
 class _TemplateInformation:
-    """Information on templates of causes, of a motion."""
+    """Information of a motion on templates of causes."""
 
     def __init__(
         self, prediction: Prediction, sensor: SensorModel, scenes: Sequence[SignalState]
@@ -237,7 +238,8 @@ class _ReducedInformation:
         values, vectors = np.linalg.eigh(self.information[np.ix_(positions, positions)])
         values = np.maximum(values[::-1], 1e-15 * energy)
         sizes = np.sqrt(noncentrality / values)
-        # A size that nothing can have does no harm: what is not seen is taken as typical.
+        # A size beyond the largest possible one cannot occur. An undetectable cause biases the
+        # calibration by its typical size instead.
         possible = np.where(sizes <= _largest_size(template, place), sizes, 1.0)
         shift = self._moved[:, positions] @ vectors[:, ::-1] * possible
         bias_sigma = np.sqrt(np.sum(shift**2, axis=1)) / self._std
@@ -273,7 +275,7 @@ def _summarize_place(templates: Sequence[_TemplateDetectability]) -> CauseDetect
 
 
 def _median_template(templates: Sequence[_TemplateDetectability]) -> _TemplateDetectability:
-    """Return the template of median detectable size among the detectable ones."""
+    """Return the template with the median detectable size of the detectable templates."""
     detectable = [template for template in templates if np.isfinite(template.sizes[-1])] or list(
         templates
     )
@@ -285,9 +287,9 @@ def _median_template(templates: Sequence[_TemplateDetectability]) -> _TemplateDe
 def _just_detectable_template(
     templates: Sequence[_TemplateDetectability],
 ) -> _TemplateDetectability:
-    """Return the template whose own size is just detected.
+    """Return the template whose size is just detected.
 
-    Between two sizes, and beyond them, the effect is drawn as a power of its size.
+    The effect is interpolated and extrapolated as a power of its size.
     """
     size = np.array([template.template.size for template in templates])
     detectable = np.array([template.sizes[-1] for template in templates])
@@ -304,8 +306,9 @@ def _just_detectable_template(
         power = float(np.log(ratio[chosen] / ratio[other]) / np.log(size[chosen] / size[other]))
     size_at_limit = size[chosen] * float(ratio[chosen]) ** (-1.0 / np.clip(power, *SIZE_EXPONENTS))
     if chosen > 0 and chosen - 1 not in nonzero:
-        size_at_limit = max(size_at_limit, size[chosen - 1])  # nothing at all shows there
-    # The bias stays that of an effect that is just detected, at any size.
+        # the effect is zero at that smaller size
+        size_at_limit = max(size_at_limit, size[chosen - 1])
+    # The bias is that of a just detected effect, so the scaling of the sizes does not change it.
     template, factor = templates[chosen], size_at_limit / detectable[chosen]
     return _TemplateDetectability(
         template.template,

@@ -1,7 +1,7 @@
 """Tables and notes about the causes that a program can detect.
 
-What to use when: `causes_summary` to print in short, `causes_table` and `causes_notes` to print
-all; `causes_to_builtins` for JSON.
+What to use when: `causes_summary` for a short text, `causes_table` and `causes_notes` for the
+complete text; `causes_to_builtins` for JSON.
 """
 
 import math

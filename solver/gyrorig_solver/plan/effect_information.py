@@ -1,4 +1,4 @@
-"""Information of a simulated motion on any effects, with the fitted parameters eliminated."""
+"""Information of a simulated motion on arbitrary effects, with the fitted parameters eliminated."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -29,7 +29,7 @@ class ReducedEffects:
 
 
 class EffectInformation:
-    """Normal equations of a motion, of the base model and any effects."""
+    """Normal equations of a motion, for the base model and arbitrary effects."""
 
     def __init__(self, prediction: Prediction, sensor: SensorModel) -> None:
         """Prepare the motion of a prediction."""
@@ -63,7 +63,8 @@ class EffectInformation:
         information = marginalise(normal, self._reference, size).information
         base = information[:BASE_PARAMETERS, :BASE_PARAMETERS]
         cross = information[:BASE_PARAMETERS, BASE_PARAMETERS:]
-        # What no motion fixes has its prior, or a cause in that direction would look seen.
+        # Directions that the motion does not determine have their prior. Without it, a cause in
+        # such a direction would seem observable.
         absorbed = np.linalg.solve(base + np.diag(prior_std(PARAMETER_NAMES) ** -2.0), cross)
         return ReducedEffects(
             information=information[BASE_PARAMETERS:, BASE_PARAMETERS:] - cross.T @ absorbed,

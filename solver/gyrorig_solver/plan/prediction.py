@@ -1,8 +1,8 @@
 """Predicted uncertainties of a calibration with a program.
 
-The program is simulated (`program_timeline`). Its replies pass through the solver's own fit of the
-motion, and the solver's normal equations give the information. Starts, rests within their steps,
-speeds and accelerations are unknowns, as in a solve.
+The program is simulated (`program_timeline`). The solver's fit of the motion processes the
+simulated replies, and the solver's normal equations give the information. As in a solve, the moves'
+start times, speeds and accelerations and the rests' positions within one step are unknowns.
 """
 
 from dataclasses import dataclass
@@ -56,10 +56,11 @@ class Prediction:
     session: SimulatedSession
     duration_s: float
     move_count: int
-    decision: ObservabilityAnalysis  # what is seen of gain, bias and time offset
-    summary: DerivedParameters  # standard deviations are predicted, values an ordinary board's
+    decision: ObservabilityAnalysis  # of gain, bias and time offset
+    # predicted standard deviations; the values are those of an ordinary board
+    summary: DerivedParameters
     motion_offset_std_s: float  # of the time offset, from the motion alone
-    bias_floor_rad_s: FloatArray  # (3,), what the noise alone leaves of the mean
+    bias_floor_rad_s: FloatArray  # (3,), standard deviation of the mean from noise alone
 
     @property
     def observability(self) -> ObservabilityReport:
@@ -78,7 +79,7 @@ class Prediction:
 
     @property
     def stated_std(self) -> FloatArray:
-        """Standard uncertainties of `STATED_PARAMETERS`, (22,); inf where the value is null.
+        """Standard uncertainties of `STATED_PARAMETERS`, (22,); inf if the value is null.
 
         The entries of the gain count only if a factor is null; otherwise the factors contain them.
         """

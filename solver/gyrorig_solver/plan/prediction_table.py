@@ -67,7 +67,7 @@ def contributions_text(total: TotalPrediction) -> str:
 
 
 def undetermined_parameters(prediction: Prediction) -> list[str]:
-    """Return the parameters without a prediction; a group's name where none of it has one."""
+    """Return the parameters without a prediction; a group's name if none of its values has one."""
     names = []
     for group in PARAMETER_GROUPS:
         labels = [parameter_label(group.name, label) for label in group.labels]
@@ -77,7 +77,7 @@ def undetermined_parameters(prediction: Prediction) -> list[str]:
 
 
 def _contribution_name(prediction: Prediction, total: TotalPrediction, parameter: str) -> str:
-    """Return the cause, or the noise, that adds most to a parameter; "" if it has no value."""
+    """Return the cause, or the noise, with the largest contribution; "" if there is no value."""
     noise = prediction.std[parameter]
     if math.isnan(noise):
         return ""

@@ -1,16 +1,17 @@
 """The two families of programs that the planner searches.
 
-A round visits the tilt poses from the lowest to the highest and back. At each pose pan sweeps
-`passes` times over its span and tilt can swing to the far end and back; on the way to the next pose
-pan can move along. At its end pan can weave: there and back in parts while tilt moves to and fro
-with each part. A cycle is a round and the same with pan mirrored: each rate comes with both signs,
-so that no gain error looks like a bias. Cycles repeat.
+A round visits the tilt poses from the lowest to the highest and back. At each pose, pan sweeps
+`passes` times over its span, and tilt can swing to the far end and back. On the way to the next
+pose, pan can move together with tilt. At the end of a round, pan can weave: it moves over its span
+and back in parts, and tilt moves to and fro with each part. A cycle consists of a round and the
+same round with pan mirrored. Each rate then occurs with both signs, so that no gain error looks
+like a bias. Cycles repeat.
 
-A stay (`once`) visits each pose once and makes all its sweeps there, from the middle of pan's span
-to an end and back, to both ends in turn. A quantisation error at a rest between two sweeps at the
-same tilt does not change the mean rate, and therefore not the bias; between sweeps at different
-tilts it does. To separate causes a stay can have several speeds and end at the first pose again.
-Every move ends in a short rest.
+A stay (`once`) visits each pose once and makes all its sweeps there. The sweeps go from the middle
+of pan's span to an end and back, to both ends in turn. A quantisation error at a rest between two
+sweeps at the same tilt does not change the mean rate, and therefore not the bias; between sweeps at
+different tilts it does. To separate causes, a stay can have several speeds and end at the first
+pose again. Every move ends in a short rest.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
@@ -25,13 +26,13 @@ from gyrorig_protocol.program import MotionProgram, Move, PtuSettings, Repeat, R
 from gyrorig_solver.plan.program_timeline import simulate_program
 from gyrorig_solver.plan.unit_model import UnitModel
 
-# Low, so that moves ramp; a unit jumps to its base speed at once, and rings.
+# Low, so that moves have ramps; a unit jumps to its base speed at once, and the jump makes it ring.
 BASE_SPEED_DEG_S = 3.0
 STATIC_S = 2.0  # minimum at each end, for the noise at rest and the first polls
 LIMIT_MARGIN_DEG = 1.0  # from the unit's limits, which homing moves by about a step
 
-# The choices of each field. With two poses the calibration absorbs a non-orthogonality of the axes
-# completely; the total uncertainty shows what that costs. Accelerations are at most those of the
+# The choices of each field. With two poses, the calibration absorbs a non-orthogonality of the axes
+# completely; the total uncertainty shows the cost of that. Accelerations are at most those of the
 # programs made by hand; a dwell of 0.3 s lets the mechanics ring down (10 to 60 Hz, Q 5 to 20).
 CHOICES: dict[str, tuple[float, ...]] = {
     "poses": (2, 3, 4, 5),
@@ -46,11 +47,11 @@ CHOICES: dict[str, tuple[float, ...]] = {
     "acceleration_deg_s2": (100.0, 150.0, 200.0),
     "dwell_s": (0.3, 0.5, 0.8),
 }
-# What of these a stay has not.
+# Fields that a stay does not use.
 ROUND_ONLY_DEFAULTS: dict[str, float] = {"along": False, "weave": 0}
 
-# What a stay's sweeps and swings go at, in turn, in parts of its speeds: the fastest, and
-# three that separate the square and the cube of a rate.
+# Speeds of a stay's sweeps and swings, in turn, relative to the speeds of the design: the fastest
+# one, and three that separate the square and the cube of a rate.
 SPEED_LADDER = (1.0, 0.6, 0.35, 0.2)
 
 Steps = tuple[Step, ...]
@@ -80,7 +81,7 @@ class MotionSpace:
         for axis in unit.axes:
             margin = min(LIMIT_MARGIN_DEG, (axis.high_deg - axis.low_deg) / 10.0)
             spans.append((axis.low_deg + margin, axis.high_deg - margin))
-        # Rounded down, as a person would write them.
+        # Rounded down to one decimal, as a person would write them.
         fast = [int(min(axis.fastest_deg_s, fastest_deg_s) * 10.0) / 10.0 for axis in unit.axes]
         return cls(spans[0], spans[1], fast[0], fast[1])
 
@@ -93,13 +94,13 @@ class MotionSpace:
 
 @dataclass(frozen=True, slots=True)
 class ProgramDesign:
-    """One member of the family; fractions are of the motion space."""
+    """One member of the family; spans and speeds are fractions of the motion space."""
 
-    poses: int  # of tilt, evenly from the lowest to the highest
+    poses: int  # of tilt, evenly spaced from the lowest to the highest
     passes: int  # of pan, at each pose; of a stay: there and back
     swings: int  # of tilt alone, there and back, at each pose
-    along: bool  # pan turns along on the way to the next pose
-    weave: int  # parts of pan's way in which tilt goes to and fro; 0: none
+    along: bool  # pan also moves on the way to the next pose
+    weave: int  # parts of pan's way in which tilt moves to and fro; 0: no weave
     pan_span: float
     tilt_span: float
     pan_speed: float
@@ -107,8 +108,8 @@ class ProgramDesign:
     acceleration_deg_s2: float
     dwell_s: float
     once: bool = False  # a stay
-    speeds: int = 1  # of a stay's sweeps and swings, from the ladder
-    again: bool = False  # it ends at the first pose
+    speeds: int = 1  # of a stay's sweeps and swings, from `SPEED_LADDER`
+    again: bool = False  # the stay ends at the first pose
 
     @property
     def is_valid(self) -> bool:
@@ -134,7 +135,7 @@ class ProgramDesign:
     def cycle_waypoints(
         self, space: MotionSpace, max_points: int | None = None
     ) -> tuple[Waypoint, ...]:
-        """Return the waypoints of a cycle, the last equal to the first, or of one cut short."""
+        """Return the waypoints of a whole or a shortened cycle; the last equals the first."""
         path = self._round_path()[:max_points]
         mirrored = [(-pan, tilt) for pan, tilt in path]
         waypoints = [self._waypoint(pan, tilt, space) for pan, tilt in (*path, *mirrored, path[0])]
@@ -145,13 +146,13 @@ class ProgramDesign:
         )
 
     def stay_waypoints(self, space: MotionSpace) -> tuple[tuple[Waypoint, ...], ...]:
-        """Return the waypoints that are repeated at each pose, each list closed."""
+        """Return the waypoints that repeat at each pose; each list ends where it starts."""
         stays = []
         for level in (*self._tilt_levels(), *([-1.0] if self.again else [])):
             far_end = -1.0 if level > 0.0 else 1.0
             points = [(0.0, level, 1.0)]
             for k in range(self.passes):
-                # The slower, the shorter: each sweep lasts about as long.
+                # A slower sweep is shorter, so that all sweeps last about equally long.
                 speed_share = SPEED_LADDER[k % self.speeds]
                 pan_end = speed_share * (-1.0 if k // self.speeds % 2 != k % 2 else 1.0)
                 points += [(pan_end, level, speed_share), (0.0, level, speed_share)]
@@ -167,7 +168,7 @@ class ProgramDesign:
         return tuple(stays)
 
     def motion_steps(self, waypoints: Sequence[Waypoint], space: MotionSpace) -> Steps:
-        """Return moves from the first waypoint through all others, a rest after each."""
+        """Return moves from the first waypoint through all others, with a rest after each."""
         pan_speed = self.pan_speed * space.pan_speed_deg_s
         tilt_speed = self.tilt_speed * space.tilt_speed_deg_s
         speeds = (
@@ -177,7 +178,7 @@ class ProgramDesign:
         return moves_between([waypoint[:2] for waypoint in waypoints], speeds, self.dwell_s)
 
     def lead_steps(self, space: MotionSpace) -> tuple[Steps, Steps]:
-        """Return the moves from home to the start and back; pan moves at home's tilt only."""
+        """Return the moves from home to the start and back; pan moves only at the tilt of home."""
         start = self.start_waypoint(space)
         outward = (space.home, Waypoint(start.pan_deg, space.home.tilt_deg), start)
         return self.motion_steps(outward, space), self.motion_steps(outward[::-1], space)[:-1]
@@ -230,11 +231,11 @@ class ProgramDesign:
 def moves_between(
     poses: Sequence[tuple[float, float]], speeds: Iterable[tuple[float, float]], dwell_s: float
 ) -> Steps:
-    """Return moves from the first pose through all others, and a rest after each.
+    """Return moves from the first pose through all others, with a rest after each.
 
     Args:
-        poses: pan and tilt in deg; a pose that repeats the one before it needs no move.
-        speeds: of pan and tilt, to each pose after the first, deg/s.
+        poses: pan and tilt in deg; a pose that equals the previous one needs no move.
+        speeds: of pan and tilt, in deg/s, to each pose after the first.
         dwell_s: the length of each rest.
     """
     steps: list[Step] = []
@@ -265,11 +266,11 @@ def build_program(
 ) -> MotionProgram:
     """Return a design as a program of the largest number of cycles in a given time.
 
-    Whole cycles and one cut short, or as many sweeps at each pose as time allows; home, and
-    the remaining time as rests.
+    The program has whole cycles and one shortened cycle, or as many sweeps at each pose as the time
+    allows. It returns home, and the rests at both ends fill the remaining time.
 
     Raises:
-        UsageError: not even one cycle fits.
+        UsageError: the time is too short for one cycle.
     """
     lead, back = design.lead_steps(space)
 
@@ -296,21 +297,21 @@ def build_program(
     extra = len(design.stay_waypoints(space) if design.once else design.round_waypoints(space)) - 1
     while extra > 0 and lasts_s(made(cycles, extra, STATIC_S)) > duration_s:
         extra -= 1
-    # A rest ends with the question that is under way then.
+    # A rest ends only after the reply to the poll that is in progress.
     late_s = 2.0 * unit.poll_interval_s
     left_s = max(0.0, duration_s - lasts_s(made(cycles, extra, STATIC_S)) - late_s)
     return made(cycles, extra, STATIC_S + int(left_s / 2.0 * 100.0) / 100.0)
 
 
 def _round_steps(design: ProgramDesign, space: MotionSpace, cycles: int, extra: int) -> Steps:
-    """Return cycles, and one that has only the first `extra` moves of its rounds."""
+    """Return the cycles, and one cycle with only the first `extra` moves of its rounds."""
     cycle = design.motion_steps(design.cycle_waypoints(space), space)
     partial = design.motion_steps(design.cycle_waypoints(space, extra + 1), space) if extra else ()
     return ((Step(repeat=Repeat(cycles, cycle)),) if cycles > 1 else cycle * cycles) + partial
 
 
 def _stay_steps(design: ProgramDesign, space: MotionSpace, cycles: int, extra: int) -> Steps:
-    """Return `cycles` times the sweeps of each pose, once more at the first `extra` poses."""
+    """Return `cycles` times the sweeps of each pose, and once more at the first `extra` poses."""
     stays = design.stay_waypoints(space)
     steps: list[Step] = []
     for k, waypoints in enumerate(stays):
@@ -322,6 +323,6 @@ def _stay_steps(design: ProgramDesign, space: MotionSpace, cycles: int, extra: i
 
 
 def _position_in_range(limits: tuple[float, float], fraction: float) -> float:
-    """Return a place in a span, `fraction` from -1 to 1, to a tenth of a degree."""
+    """Return a position in a span, `fraction` from -1 to 1, rounded to a tenth of a degree."""
     middle, half = (limits[0] + limits[1]) / 2.0, (limits[1] - limits[0]) / 2.0
     return round(middle + fraction * half, 1) + 0.0

@@ -1,4 +1,4 @@
-"""A planned program as the document that `gyrorigd record` carries out."""
+"""A planned program as the document that `gyrorigd record` executes."""
 
 from pathlib import Path
 from typing import Any
@@ -13,14 +13,14 @@ from gyrorig_protocol.program.program_document import SCHEMA
 
 
 def program_text(program: MotionProgram) -> str:
-    """Return a program as YAML; what has its default is left out."""
+    """Return a program as YAML without the fields that have their defaults."""
     return dump_yaml({"schema": SCHEMA, **_non_default_fields(program)})
 
 
 def require_new_path(path: Path, option: str = "--output") -> None:
-    """Refuse a file name that cannot be written, before a search of minutes.
+    """Raise an error if a file cannot be written, before a search that takes minutes.
 
-    `option`: the one that gives the name.
+    `option`: the option that gives the file name.
 
     Raises:
         UsageError: the file exists, or its folder does not.
@@ -35,10 +35,10 @@ def require_new_path(path: Path, option: str = "--output") -> None:
 
 
 def write_new_file(path: Path, text: str) -> None:
-    """Write a new file atomically; an existing file is never replaced.
+    """Write a new file atomically; never replace an existing file.
 
     Raises:
-        UsageError: as `require_new_path`.
+        UsageError: see `require_new_path`.
     """
     require_new_path(path)
     if not write_atomically(path, text.encode(), replace=False):

@@ -1,13 +1,13 @@
 """Search for the program with the least cost in a given time.
 
-Many random designs are screened with white noise (`white_noise_screen`). The best of both families
-are improved by coordinate descent. The full prediction decides between the best of a few kinds for
-each number of tilts, and their neighbours. It counts the total uncertainty: noise, and the causes
-that the program leaves open. The same seed gives the same program.
+Many random designs are screened with white noise (`white_noise_screen`). Coordinate descent
+improves the best designs of both families. The full prediction decides between the best of a few
+kinds for each number of tilts, and their neighbours. It uses the total uncertainty: noise, and the
+causes that the program does not determine. The same seed gives the same program.
 
 For causes, a stay gets as many tilts and speeds as the time allows, and the mean identifiable size
-decides the rest. An unknown function of tilt or speed shows only if there are more levels than the
-function has parameters; therefore levels have priority over uncertainties.
+decides the rest. An unknown function of tilt or speed is visible only if there are more levels than
+the function has parameters; therefore levels have priority over uncertainties.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -37,15 +37,15 @@ from gyrorig_solver.plan.unit_model import UnitModel
 from gyrorig_solver.plan.white_noise_screen import WhiteNoiseScreen
 from gyrorig_solver.uncertainty import default_settings
 
-# Of each kind of the family; kinds of design for each number of tilts, of both.
+# Drawn and improved designs of each family; predicted kinds of design for each number of tilts.
 DRAWN_DESIGNS, IMPROVED_DESIGNS, PREDICTED_KINDS = 150, 3, 4
 REFINED_FIELDS = ("poses", "passes", "swings", "pan_span", "tilt_span")
-# Zero rate and scale of a part of its family leave so much of the range for the motion.
+# Share of the full scale for the motion; zero-rate offset and scale error of a part need the rest.
 USABLE_RANGE_SHARE = 0.75
 
 Aim = Literal["calibration", "causes"]
 AIMS: tuple[str, ...] = get_args(Aim)
-# Tilts and speeds for causes, the most wanted first; and swings of tilt at each.
+# Numbers of tilts and speeds for causes, in order of preference; numbers of swings at each tilt.
 SURVEY_LEVELS = ((5, 4), (5, 3), (3, 4), (3, 3), (3, 2), (3, 1))
 SURVEY_SWINGS = (1, 2, 4)
 
@@ -60,8 +60,8 @@ class PlanResult:
     prediction: Prediction
     cost: float  # by the criterion
     total: TotalPrediction
-    design_count: int  # designs looked at
-    detectability: DetectabilityReport | None = None  # where it was looked for by causes
+    design_count: int  # designs evaluated
+    detectability: DetectabilityReport | None = None  # only of a search for causes
 
     @property
     def program(self) -> MotionProgram:
@@ -82,11 +82,11 @@ def find_program(
 ) -> PlanResult:
     """Search for the best program of the family within a time.
 
-    The designs are drawn with `seed`. Without prior sizes the search minimises the uncertainty from
-    noise.
+    The designs are drawn with `seed`. Without prior sizes, the search minimises only the
+    uncertainty from noise.
 
     Raises:
-        UsageError: no program of the family fits into so little time.
+        UsageError: no program of the family fits into the time.
     """
     space = MotionSpace.of(unit, float(np.degrees(sensor.full_scale_rad_s)) * USABLE_RANGE_SHARE)
     screen = WhiteNoiseScreen(unit, sensor, space, duration_s, criterion)
@@ -111,7 +111,8 @@ def find_program(
         for number, design in enumerate(designs, start=1):
             progress(f"predicting {label} {number} of {len(designs)}")
             if design not in results and np.isfinite(screen.cost(design)):
-                with suppress(UsageError):  # its cycle is a little longer than it seemed
+                # its cycle is slightly longer than the screening estimated
+                with suppress(UsageError):
                     prediction = predict_program(
                         build_program(design, space, unit, duration_s), unit, sensor
                     )
@@ -148,7 +149,7 @@ def _find_for_causes(
 ) -> PlanResult:
     """Return the program with the most levels that fit, with the smallest mean identifiable size.
 
-    Over the whole range, as fast as the unit may, with the shortest rests.
+    The design uses the whole range, the unit's highest speed and the shortest rests.
     """
     unit, sensor, site = rig
     results: list[PlanResult] = []
@@ -223,7 +224,7 @@ def _neighbours(design: ProgramDesign) -> Iterator[ProgramDesign]:
 
 
 def _too_short(screen: WhiteNoiseScreen, duration_s: float) -> UsageError:
-    """Return the error for a time in which no program fits, with the shortest length."""
+    """Return the error for a time that is too short for any program, with the minimum length."""
     return UsageError(
         f"a motion program of {duration_s:g} s is too short to determine all parameters",
         f"give --seconds {np.ceil(min(screen.min_duration_s.values())):.0f} or more",

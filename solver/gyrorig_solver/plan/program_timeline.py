@@ -1,7 +1,7 @@
 """Simulated execution of a program: commands, polls and axis positions.
 
-The daemon sends one command or one poll at a time. A move is complete when two replies in a row
-have each of its axes at rest at its target. Times are in s from the start of the program.
+The daemon sends one command or one poll at a time. A move is complete when two consecutive replies
+show each of its axes at rest at its target. Times are in s from the start of the program.
 """
 
 from collections.abc import Iterator
@@ -19,10 +19,11 @@ from gyrorig_solver.reference.unit.motion_profile import ProfileCommand
 from gyrorig_solver.reference.unit.move_fit import UnitPolls
 from gyrorig_solver.reference.unit.unit_moves import AXES, UnitOrder
 
-HALT_WATCH_S = 0.3  # after the program the daemon halts the unit and watches it stand
-MAX_DURATION_S = 3600.0  # what a prediction needs grows with the cube of the moves
-ARRIVAL_POLLS = 2  # answers at the target
-POLL_JITTER_S = 2.5e-4  # of a serial line; without it polls and steps could beat
+HALT_WATCH_S = 0.3  # after the program, the daemon halts the unit and polls it at rest
+MAX_DURATION_S = 3600.0  # the effort of a prediction grows with the cube of the number of moves
+ARRIVAL_POLLS = 2  # replies with the target position
+# of a serial line; without it, the polls could be synchronous with the steps
+POLL_JITTER_S = 2.5e-4
 GOLDEN_RATIO = 0.6180339887498949
 
 
@@ -32,13 +33,13 @@ class ProgramTimeline:
 
     orders: tuple[UnitOrder, ...]
     profiles: tuple[tuple[MotionProfile, ...], tuple[MotionProfile, ...]]  # pan, tilt, in steps
-    settings: dict[str, float]  # as a recording's metadata has them
-    poll_s: FloatArray  # when a position was asked for
+    settings: dict[str, float]  # as in a recording's metadata
+    poll_s: FloatArray  # times of the position polls
     program_s: float
 
     @property
     def duration_s(self) -> float:
-        """From the first command to the end of the recording."""
+        """Duration from the first command to the end of the recording."""
         return self.program_s + HALT_WATCH_S
 
     def position_steps(self, time_s: FloatArray) -> FloatArray:
@@ -61,7 +62,7 @@ class ProgramTimeline:
             valid[0::2, 1] = valid[1::2, 0] = False
         counts = np.rint(self.position_steps(at_s))
         if unit.both_at_once:
-            # The controller's counter leaves one constant of the window, see `counter`.
+            # With the controller's counter, all polls share one unknown constant within the window.
             return UnitPolls(at_s, at_s, counts, valid, unit.window_s)
         half_s = unit.window_s / 2.0
         return UnitPolls(at_s - half_s, at_s + half_s, counts, valid)
@@ -71,7 +72,7 @@ def simulate_program(program: MotionProgram, unit: UnitModel) -> ProgramTimeline
     """Simulate how the daemon executes a program; the unit starts at home, steps (0, 0).
 
     Raises:
-        UsageError: a step leaves the unit's limits or speeds; its number is in the text.
+        UsageError: a step exceeds the unit's limits or speeds; the text has its number.
     """
     run = _ProgramRun(program, unit)
     for number, step in enumerate(unroll_steps(program.steps, program.name), start=1):
@@ -101,7 +102,7 @@ class _ProgramRun:
         self._poll(int(np.ceil(max(0.0, seconds) / interval_s - 1e-9)))
 
     def move(self, step: Move | Home, where: str) -> None:
-        """Send the commands of a move and poll until it is done."""
+        """Send the commands of a move and poll until the move is complete."""
         targets = list(self._axis_targets(step, where))
         for axis, _, speed in targets:
             self._send(OrderKind.SPEED, _AXIS[axis], speed)
@@ -185,7 +186,7 @@ class _ProgramRun:
         self._poll(int(np.ceil(max(0.0, end_s - self.now_s) / interval_s)))
         polls_needed = ARRIVAL_POLLS
         if not self.unit.both_at_once:
-            # Pan and tilt are asked in turn, pan first.
+            # The daemon polls pan and tilt in turn, pan first.
             polls_needed = 2 * ARRIVAL_POLLS
             if len(axes) == 1 and self.poll_count % 2 == axes[0]:
                 polls_needed -= 1

@@ -1,6 +1,6 @@
 """The unit and the boards of a rig file, as far as a prediction needs them.
 
-The daemon's reader validates the whole file; this one reads the fields that shape a prediction.
+The daemon's reader validates the whole file; this module reads the fields that a prediction needs.
 """
 
 from dataclasses import dataclass, replace
@@ -22,7 +22,7 @@ from gyrorig_solver.plan.unit_model import BITS_PER_BYTE, AxisModel, UnitModel, 
 
 SCHEMA = "gyrorig/rig/1"
 EMULATED = "emulated"
-MANUAL = "manual"  # the driver of a person
+MANUAL = "manual"  # the driver of a rig that a person turns
 DEFAULT_SENSOR = "L3G4200D"
 Positive = Annotated[float, msgspec.Meta(gt=0.0)]
 
@@ -88,7 +88,7 @@ class _Rig(msgspec.Struct, frozen=True):
 
 @dataclass(frozen=True, slots=True)
 class RigModel:
-    """A rig as a prediction needs it; the first board represents all boards."""
+    """The rig as a prediction needs it; the first board represents all boards."""
 
     name: str
     unit: UnitModel
@@ -103,7 +103,7 @@ class RigModel:
         """Return the sensor model of a data sheet on this rig.
 
         Raises:
-            UsageError: the data sheet lacks the noise, or the range that is set.
+            UsageError: the data sheet lacks the noise or the full scale of the rig file.
         """
         return build_sensor_model(
             profile, self.odr_hz, self.bandwidth_hz, self.full_scale_dps, self.timestamp_std_s
@@ -114,7 +114,7 @@ def load_rig(path: Path) -> RigModel:
     """Read the rig model from a rig file.
 
     Raises:
-        UsageError: the file cannot be read, is not a rig, allows no motion, or its rig has no unit.
+        UsageError: the file cannot be read, is not a rig file, allows no motion, or has no unit.
     """
     try:
         text = path.read_bytes()
@@ -160,7 +160,7 @@ def load_rig(path: Path) -> RigModel:
 
 
 def _ping_latency_std_s(baud: int) -> float:
-    """Return the link latency's uncertainty after pings: the wire time of one exchange."""
+    """Return the uncertainty of the link latency after pings: the wire time of one exchange."""
     request, reply = TimeRequest(0, 0).encode(), TimeReply(0, 0, 0, 0).encode()
     return (len(request) + len(reply)) * BITS_PER_BYTE / baud / float(np.sqrt(12.0))
 

@@ -1,7 +1,7 @@
 """Templates of the catalogue's causes in a simulated motion.
 
 What to use when: `signal_states` for the states that causes act on; `scan_templates` for a few
-templates of a cause: sizes where the effect is nonlinear, otherwise some of its shapes and events.
+templates of a cause. They differ in size if the effect is nonlinear, otherwise in shape and event.
 """
 
 from collections.abc import Iterator, Sequence
@@ -24,9 +24,10 @@ from gyrorig_solver.model import (
 from gyrorig_solver.plan.prediction import SimulatedSession
 from gyrorig_solver.plan.sensor_model import SensorModel
 
-MAX_TEMPLATES = 8  # rows of a bank that are looked at: of its sizes, or of its shapes and moments
-# A board that was just switched on: so much warmer in the end, and how soon (as remembered
-# of small boards; a recording with its own readings uses those).
+# evaluated rows of a template bank: of its sizes, or of its shapes and event times
+MAX_TEMPLATES = 8
+# Warm-up of a board after power-on: final temperature rise and time constant, from memory of small
+# boards. A solve uses the temperature readings of the recording.
 WARM_UP_K, WARM_UP_TIME_CONSTANT_S, ROOM_DEGC = 5.0, 120.0, 25.0
 
 
@@ -36,8 +37,8 @@ class ScanTemplate:
 
     term: Term
     values: FloatArray  # (k,)
-    size: float  # in typical sizes; 0 where the effect is taken as linear
-    template_count: int  # how many rows of other shapes and moments a search would look at
+    size: float  # in typical sizes; 0 if the effect is treated as linear
+    template_count: int  # number of shapes and event times that a search would scan
 
     @property
     def typical_sizes(self) -> FloatArray:
@@ -108,7 +109,7 @@ def template_batches(
 def _signal_state(
     session: SimulatedSession, setting: RecordingContext, series: Series, blocks: slice
 ) -> SignalState:
-    # Where a block is a sample, corners of a few ms show only on the samples' own fine grid.
+    # If a block is one sample, features of a few ms are visible only on the samples' fine grid.
     points_per_block, fine = (
         (1, series.intervals_per_sample)
         if series.samples_per_block == 1
@@ -135,7 +136,7 @@ def _warm_up_temperature(until_s: float) -> BoardTemperature:
 
 
 def _evenly_chosen(items: IntArray, count: int) -> IntArray:
-    """Return at most `count` items, each from the middle of an equal share of them."""
+    """Return at most `count` items, each the middle one of an equal share of them."""
     if items.size <= count:
         return items
     return items[((np.arange(count) + 0.5) * items.size / count).astype(np.int64)]

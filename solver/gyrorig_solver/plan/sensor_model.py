@@ -21,7 +21,7 @@ class SensorModel:
     quantum_rad_s: float
     full_scale_rad_s: float
     levels: FloatArray  # (3, 4), squares: N^2, B^2, K^2, D^2 as in `NoiseModel`
-    timestamp_std_s: float  # what is not known of the samples' own times, one shift of all
+    timestamp_std_s: float  # of one shift that is common to all sample times
 
     @property
     def noise(self) -> NoiseModel:
@@ -46,19 +46,19 @@ def build_sensor_model(
 ) -> SensorModel:
     """Return the model of a sensor from its data sheet, with typical settings by default.
 
-    Without an output rate it is the lowest of the data sheet, without a bandwidth the
-    widest at that rate, without a full scale the smallest that measures 250 deg/s.
+    The default output rate is the lowest of the data sheet. The default bandwidth is the widest at
+    that rate. The default full scale is the smallest that measures 250 deg/s.
 
     Args:
-        profile: the data sheet. Flicker and random walk, which none gives, are those of
-            an ordinary part with that noise density.
+        profile: the data sheet. No data sheet gives flicker and random walk; the model uses those
+            of an ordinary part with the same noise density.
         odr_hz: output data rate.
         bandwidth_hz: of the low-pass.
-        full_scale_dps: the range set.
-        timestamp_std_s: what will not be known of the samples' times.
+        full_scale_dps: the configured full scale.
+        timestamp_std_s: standard uncertainty of one shift that is common to all sample times.
 
     Raises:
-        UsageError: the data sheet has no noise density or no such range.
+        UsageError: the data sheet has no noise density or not this full scale.
     """
     if profile.noise_density_dps_rthz is None:
         raise UsageError(

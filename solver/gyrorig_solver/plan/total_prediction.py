@@ -1,10 +1,10 @@
 """The predicted total uncertainty of a calibration with a program: noise and hidden causes.
 
-Every cause with a prior size enters as in `gyrorig solve` (`uncertainty`): it is marginalised
-beside the fitted parameters. What a solve adds for the causes that the data suggest is predicted
-for a rig that has none of them, where noise alone suggests them.
+Every cause with a prior size is included as in `gyrorig solve` (`uncertainty`): it is marginalised
+together with the fitted parameters. A solve also adds an expected error if the data suggest causes.
+The prediction assumes a rig without these causes, in which noise alone suggests them.
 
-What to use when: `predict_total` for a program; `TotalPrediction.decision` for the cost of it.
+What to use when: `predict_total` for a program; `TotalPrediction.decision` for its cost.
 """
 
 from collections.abc import Sequence
@@ -32,7 +32,7 @@ from gyrorig_solver.uncertainty.prior_effects import (
 
 @dataclass(frozen=True, slots=True)
 class PlanPrior:
-    """What is known of the rig before a program is run."""
+    """Prior knowledge of the rig before a program is run."""
 
     settings: UncertaintySettings
     unit: UnitPosterior | None = None  # None: the table of prior sizes
@@ -40,7 +40,7 @@ class PlanPrior:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Contribution:
-    """What one cause adds to each parameter."""
+    """Contribution of one cause to each parameter."""
 
     cause: str
     std: FloatArray  # (13,), of `CALIBRATION_PARAMETERS`, SI
@@ -51,9 +51,10 @@ class TotalPrediction:
     """The predicted total uncertainty of a program."""
 
     type_b: FloatArray  # (13,), of `CALIBRATION_PARAMETERS`, SI
-    posterior_std: FloatArray  # (13,), the part that the causes add whatever the noise is
-    contributions: tuple[Contribution, ...]  # of each cause, all others at what is known
-    decision: ObservabilityAnalysis  # of the prediction, with the causes that a motion can show
+    posterior_std: FloatArray  # (13,), the part without the sizes that noise suggests
+    contributions: tuple[Contribution, ...]  # of each cause, with all others marginalised
+    # of the prediction, with the uncertainty from causes that a motion can show
+    decision: ObservabilityAnalysis
     std: dict[str, float]  # total, by parameter, SI; nan if not observable
 
     def main_contribution(self, parameter: str) -> Contribution:
@@ -87,7 +88,7 @@ def predict_total(
     jacobian = prediction.stated_jacobian[: len(CALIBRATION_PARAMETERS)]
     moved = jacobian @ reduced.absorbed
     type_b = _std_of(moved, added)
-    # What no program shows would hide the differences between programs.
+    # The uncertainty from causes that no program shows would hide the differences between programs.
     is_shown = np.array(
         [term.kind != "gauge" and place not in term.unseen_places for term, place in signals]
     )
@@ -118,7 +119,7 @@ def predict_total(
 def _prior_causes(
     states: Sequence[SignalState], settings: UncertaintySettings
 ) -> list[UnidentifiedCause]:
-    """Return each cause with a prior size that the motion can have."""
+    """Return each cause with a prior size that can act in the motion."""
     causes = []
     for name, prior in settings.prior_sizes.items():
         term = catalogue()[name]
@@ -165,6 +166,6 @@ def _noise_of_suggestions(
 
 
 def _std_of(moved: FloatArray, covariance: FloatArray) -> FloatArray:
-    """Return the deviation of parameters (p,) that sizes with a covariance move, (p, k)."""
+    """Return the standard deviation of parameters (p,) from sizes with a covariance, (p, k)."""
     variance = np.einsum("pk,kl,pl->p", moved, covariance, moved)
     return np.asarray(np.sqrt(np.clip(variance, 0.0, None)), dtype=np.float64)

@@ -1,4 +1,4 @@
-"""A pan-tilt unit's limits, speeds and reply times, before a unit is connected.
+"""Limits, speeds and reply times of a pan-tilt unit that is not connected yet.
 
 The values are those of a PTU-E46 or D46 with a 17.5:1 gear in half steps (sources at each
 constant). The daemon reads the unit's own values and rejects commands beyond them.
@@ -12,16 +12,16 @@ ARCSEC_PER_DEG = 3600.0
 BITS_PER_BYTE = 10  # 8N1
 RESOLUTION_ARCSEC = 185.142857  # D46 user's manual v2.14, half step
 PAN_STEPS = (-3090, 3090)  # command reference manual v3.00D
-TILT_STEPS = (-903, 601)  # the narrower of the two units that were seen
+TILT_STEPS = (-903, 601)  # the narrower range of the two units that we know
 SPEED_STEPS_S = (31, 2902)
 BASE_SPEED_STEPS_S, ACCELERATION_STEPS_S2 = 1000.0, 2000.0  # as delivered
-# Bytes of an order, of its answer, and of the terse answers to BT and to PP.
+# Bytes of an order, of its reply, of the terse replies to BT and to PP, and of a query.
 COMMAND_BYTES, ANSWER_BYTES, MOTION_BYTES, POSITION_BYTES, QUERY_BYTES = 7, 3, 44, 9, 3
 
 
 @dataclass(frozen=True, slots=True)
 class AxisModel:
-    """The limits of one axis; angles and speeds within those of the rig."""
+    """The limits of one axis; angles and speeds are within those of the rig file."""
 
     resolution_arcsec: float
     low_deg: float
@@ -36,14 +36,14 @@ class AxisModel:
 
 @dataclass(frozen=True, slots=True)
 class UnitModel:
-    """A pan-tilt unit and its serial line, as far as they shape a recording."""
+    """A pan-tilt unit and its serial line, as far as they affect a recording."""
 
     pan: AxisModel
     tilt: AxisModel
     command_interval_s: float  # from one order to the next
-    poll_interval_s: float  # from one question for the position to the next
-    window_s: float  # in which the count is taken, unknown when
-    both_at_once: bool  # one answer holds both axes and the controller's counter
+    poll_interval_s: float  # from one position query to the next
+    window_s: float  # the unit takes the count at an unknown time in this window
+    both_at_once: bool  # one reply contains both axes and the controller's counter
     base_speed_steps_s: float = BASE_SPEED_STEPS_S
     acceleration_steps_s2: float = ACCELERATION_STEPS_S2
 
@@ -59,14 +59,14 @@ def build_unit_model(
     command_s: float | None = None,
     poll_rate_hz: float | None = None,
 ) -> UnitModel:
-    """Return the model of a unit with a dialect and a line.
+    """Return the model of a unit with a dialect and a serial line.
 
     Args:
-        dialect: its language.
-        baud: of the line.
-        command_s: how long the controller thinks about a command; None: as long as the
-            vendor wants between two.
-        poll_rate_hz: commands a second, None for the vendor's limit.
+        dialect: of the unit's commands.
+        baud: of the serial line.
+        command_s: processing time of the controller per command; None: the vendor's minimum
+            interval between two commands.
+        poll_rate_hz: commands per second; None: the vendor's limit.
     """
     features = dialect_features(dialect)
     byte_s = BITS_PER_BYTE / baud

@@ -1,9 +1,9 @@
-"""Fast screening of designs with white noise and a motion known except for its rests.
+"""Fast screening of designs with white noise; the motion is known except for its rests.
 
 One cycle, or one set of sweeps at each pose, represents all of them.
 
-What to use when: `WhiteNoiseScreen` to rank hundreds of designs in seconds; `predict_program`
-decides between the best.
+What to use when: `WhiteNoiseScreen` to rank hundreds of designs in seconds; `predict_program` to
+decide between the best.
 """
 
 from collections.abc import Sequence
@@ -24,7 +24,7 @@ from gyrorig_solver.reference.unit.stage_kinematics import stage_rate
 KIND_FIELDS = ("once", "poses", "passes", "swings", "along", "weave")
 GRID_HZ = 50.0  # motions of a unit change within tenths of a second
 MIRROR_SIGNS = np.array([1.0, -1.0, -1.0])  # of the stage rate, when pan turns the other way
-MAX_ROUND_MOVES = 40  # moves; a longer one is no cycle any more
+MAX_ROUND_MOVES = 40  # a design with a longer round is rejected
 
 
 class WhiteNoiseScreen:
@@ -57,9 +57,9 @@ class WhiteNoiseScreen:
         return self._known[design]
 
     def best_kinds(self, count: int) -> list[ProgramDesign]:
-        """Return the best design of each of the best kinds evaluated, for each number of tilts.
+        """Return the best designs of different kinds, at most `count` for each number of tilts.
 
-        White noise prefers few tilts; hidden causes need more.
+        White noise favours few tilts; hidden causes need more.
         """
         possible = [d for d, value in self._known.items() if np.isfinite(value)]
         best: dict[tuple[object, ...], ProgramDesign] = {}
@@ -95,7 +95,7 @@ class WhiteNoiseScreen:
         steps = design.motion_steps(design.round_waypoints(self.space), self.space)
         parts = _ProgramParts(design, self.space, self._unit, (lead, steps))
         round_s = parts.duration_s(1)
-        # The two halves of a cycle may differ by a question for the position or two.
+        # The durations of the two halves of a cycle may differ by one or two polls.
         self.min_duration_s[design] = fixed_s + 2.0 * round_s + 4.0 * self._unit.poll_interval_s
         if self.duration_s < self.min_duration_s[design]:
             return None
@@ -174,13 +174,13 @@ def _program(design: ProgramDesign, space: MotionSpace, steps: Steps) -> MotionP
 def _rest_derivatives(
     timeline: ProgramTimeline, edges_s: FloatArray, turn: StageRateJacobian
 ) -> FloatArray:
-    """Return derivatives of the stage rate by each rest's position in its step, (k, n, 3)."""
+    """Return the stage rate's derivatives by each rest's position within its step, (k, n, 3)."""
     whole = slice(0, edges_s.size - 1)
     columns = []
     for axis, courses in enumerate(timeline.profiles):
         shares = [course.progress(edges_s) for course in courses]
         next_shares = [*shares[1:], np.zeros_like(edges_s)]
         columns += [turn.rate(axis, a - b, whole) for a, b in zip(shares, next_shares, strict=True)]
-    # Rests of other parts do nothing here.
+    # Rests of other parts have no effect in this part.
     columns = [column for column in columns if column.any()]
     return np.stack(columns) if columns else np.zeros((0, edges_s.size - 1, 3))

@@ -1,4 +1,4 @@
-"""Reference motions: what the rates of a sensor are compared with.
+"""Reference motions, with which the rates of a sensor are compared.
 
 What to use when: `reference_motion.ReferenceMotion` is the interface that the estimator uses.
 `unit` reconstructs the motion of a pan-tilt unit; `attitude_reference` uses measured attitudes,

@@ -1,9 +1,9 @@
 """Reference body rates from measured attitudes: motion capture, a robot arm, a car's pose.
 
-What to use when: `read_attitude` converts the attitudes of a recording to an
-`AttitudeReference`; its `rate_segments()` are segments without a gap, each with the mean
-body rates between neighbouring attitudes. The attitudes are not interpolated: where a few frames
-are missing, the rate is the mean over the longer step.
+What to use when: `read_attitude` converts the attitudes of a recording to an `AttitudeReference`;
+its `rate_segments()` are segments without a gap, each with the mean body rates between neighbouring
+attitudes. The attitudes are not interpolated: if a few frames are missing, the rate is the mean
+over the longer step.
 """
 
 from dataclasses import dataclass, replace
@@ -17,18 +17,18 @@ from gyrorig_solver.reference.rotations import integrated_rate, relative_vectors
 
 # A longer step, in frames, is a gap, except for `MAX_BRIDGED_S`.
 MAX_GAP_STEPS = 1.5
-# Missing frames in up to this time make one longer step; a gap that is longer ends a segment.
+# Missing frames within this time make one longer step; a longer gap ends a segment.
 MAX_BRIDGED_S = 0.1
-# The fit discards the edges of a segment; nothing remains of a shorter one.
+# The fit discards the edges of a segment; a shorter segment would have no other samples.
 MIN_SEGMENT_ATTITUDES = 50
 # Tolerance of the length of a quaternion, above rounding errors.
 LENGTH_TOLERANCE = 0.01
 # Above this turn per step, the mean rate between two attitudes depends on the path.
 MAX_MEAN_RATE_TURN_RAD = 0.5
-# Jitter of stamps can swap neighbours, but not attitudes that are further apart.
+# Jitter of timestamps can swap neighbours, but not attitudes that are further apart.
 MAX_DISORDER_S = 0.1
-# An attitude that repeats the one before it while its neighbours turn by so many times the
-# smallest turn between any two attitudes was not measured.
+# If an attitude equals the previous one although its neighbours turn by this many times the
+# smallest turn between any two attitudes, it was not measured.
 MIN_REPEATED_TURN = 3.0
 
 
@@ -40,11 +40,11 @@ class BodyRateSegment:
     """
 
     begin_s: FloatArray  # (n,), of the step
-    end_s: FloatArray  # (n,), the end of a step is the begin of the next
+    end_s: FloatArray  # (n,), the end of a step is the beginning of the next
     rate_rad_s: FloatArray  # (n, 3), turn over `duration_s`, body frame
     step_s: float  # median step of a frame
-    duration_s: FloatArray  # (n,), by which turns are divided: not the jittered step
-    edge_s: FloatArray  # (n + 1,), edges of the frames, without the jitter of stamps
+    duration_s: FloatArray  # (n,), divisor of the turns; not the step with jitter
+    edge_s: FloatArray  # (n + 1,), edges of the frames, without the jitter of timestamps
 
     def rows(self, is_used: BoolArray) -> "BodyRateSegment":
         """Return the part from the first to the last of the given rows."""
@@ -62,10 +62,10 @@ class BodyRateSegment:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DriftCorrection:
-    """What was added to times, because two clocks drift and step."""
+    """Time shifts that were added, because two clocks drift and step."""
 
     shift_s: FloatArray  # (n,), its mean is zero
-    is_cut: BoolArray  # (n,), a step of a clock follows, and no other jump
+    is_cut: BoolArray  # (n,), only a step of a clock follows, no other jump
     has_sawtooth: bool
 
 
@@ -76,8 +76,8 @@ class AttitudeReference:
     time_s: FloatArray  # (n,), strictly increasing
     orientation_xyzw: FloatArray  # (n, 4), body to world; nan if lost
     standard_deviation_rad: FloatArray  # (n,), per axis; 0 if not specified
-    stamps: AttitudeStamps | None = None  # what the recorded stamps say
-    repeated: int = 0  # attitudes that repeat the one before them in motion; lost
+    stamps: AttitudeStamps | None = None  # analysis of the recorded timestamps
+    repeated: int = 0  # attitudes that equal the previous one in motion; they count as lost
     is_cut: BoolArray | None = None  # (n,), a jump follows: the next row starts another segment
     even_s: FloatArray | None = None  # (n,), times without jitter; None: those of `time_s`
     drift: DriftCorrection | None = None  # in `time_s`
@@ -122,7 +122,7 @@ class AttitudeReference:
         longest = max(MAX_GAP_STEPS, 1.0 + MAX_BRIDGED_S / step_s)
         joined = np.diff(even_s[rows]) <= longest * step_s
         if self.is_cut is not None:
-            # A cut after any row from one known row to the next separates them.
+            # A cut after any row between two known rows separates these.
             cuts = np.concatenate([[0], np.cumsum(self.is_cut)])
             joined &= cuts[rows[1:]] == cuts[rows[:-1]]
         segments = []
@@ -142,7 +142,7 @@ class AttitudeReference:
         return segments
 
     def largest_turn_rad(self) -> float:
-        """Return the largest turn between neighbouring attitudes of any track."""
+        """Return the largest turn between neighbouring attitudes of any segment."""
         turns = [
             np.linalg.norm(segment.rate_rad_s, axis=1) * segment.duration_s
             for segment in self.rate_segments()
@@ -160,7 +160,7 @@ def _rate_segment(
     duration_s = np.diff(even_s)
     turns = integrated_rate(relative_vectors(orientation_xyzw), duration_s)
     rate = turns / duration_s[:, None]
-    # The fractions of a step over missing frames.
+    # Position of each frame within its step, as a fraction of the step.
     first = np.repeat(np.cumsum(frames) - frames, frames)
     fraction = (np.arange(first.size) - first) / np.repeat(frames, frames)
     edge_s = np.repeat(even_s[:-1], frames) + fraction * np.repeat(duration_s, frames)
@@ -191,11 +191,12 @@ def read_attitude(
     """Return the reference from recorded attitudes.
 
     Args:
-        time_s: stamps on the capture clock, shape (n,), in the order of the attitudes.
+        time_s: timestamps on the capture clock, shape (n,), in the order of the attitudes.
         orientation_xyzw: as recorded, body to world, shape (n, 4); a row that is not finite, or
             not of length 1, is a lost attitude.
         standard_deviation_rad: per axis, shape (n,); negative or not finite means 0.
-        stamp: `arrival`, `sampled`, or empty if the recording does not say what the stamps are.
+        stamp: `arrival`, `sampled`, or empty if the recording does not state the kind of
+            timestamps.
         rate_hz: the nominal rate of the attitudes, if known.
 
     Raises:
@@ -231,7 +232,7 @@ def read_attitude(
 
 
 def _repeated_rows(orientation_xyzw: FloatArray, is_unit_length: BoolArray) -> BoolArray:
-    """Return which rows repeat the row before them although the body turns, (n,)."""
+    """Return which rows equal the previous row although the body turns, (n,)."""
     is_same = np.zeros(is_unit_length.size, dtype=np.bool_)
     is_same[1:] = np.all(orientation_xyzw[1:] == orientation_xyzw[:-1], axis=1)
     is_same &= is_unit_length

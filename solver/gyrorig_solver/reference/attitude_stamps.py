@@ -1,11 +1,11 @@
-"""The times of a camera's frames from the stamps of its attitudes.
+"""Times of a camera's frames from the timestamps of its attitudes.
 
-A stamp is not the time of an attitude: it jitters, or it is the time at which the attitude arrived.
-But most references are frames of a camera at a regular rate. So each attitude gets the number of
-its frame, and a smooth clock over the frame numbers gives its time: for stamps that are late by a
-delay that is never negative, the lower envelope of the stamps, else their mean. How smooth that
-clock is, and whether the frames are regular at all, the stamps alone do not say. The fit to the
-gyro decides between the candidates (`estimate.attitude`).
+A timestamp is not the time of an attitude: it jitters, or it is the time at which the attitude
+arrived. But most references are frames of a camera at a regular rate. So each attitude gets the
+number of its frame, and a smooth clock over the frame numbers gives its time. If the timestamps are
+late by a delay that is never negative, this clock is their lower envelope, else their mean. The
+timestamps alone do not show how smooth the clock is, or whether the frames are regular. The fit to
+the gyro decides between the candidates (`estimate.attitude`).
 """
 
 from dataclasses import dataclass
@@ -16,24 +16,24 @@ from gyrorig_solver.data import BoolArray, FloatArray, IntArray
 from gyrorig_solver.data.clocks.latency_floor import MAX_LINE_SPAN_S, find_latency_floor
 from gyrorig_solver.reference.least_delay import line_error
 
-# Stamps with less jitter, in frame periods, are times.
+# Timestamps with less jitter, in frame periods, are used as times.
 MAX_EXACT_JITTER = 0.002
-# Jitter above this share of a period hides which frame is missing in a single stamp.
+# Jitter above this share of a period hides which frame is missing at a single timestamp.
 MAX_CLEAR_JITTER = 0.12
-STALL_FRAMES = 32  # a link that stalls for longer looks as if frames were lost
-SMOOTHING_S = (10.0, 1.0, 0.3)  # of the clock, where it is no line
+STALL_FRAMES = 32  # a link that stalls for longer looks as if it had lost frames
+SMOOTHING_S = (10.0, 1.0, 0.3)  # of the clock, if it is not a line
 # Half-normal delays have a skewness of 1.0, exponential ones of 2, symmetric jitter none.
 MIN_LATE_SKEWNESS = 0.5
 MIN_STAMPS = 50
 _BLOCK_STAMPS, _LOW_PERCENT, _EARLY_SHARE = 200, 3.0, 0.4  # of `_is_too_early`
 _MIN_JITTER = 0.02  # of a period, for sums
 _LOOP_GAIN = 0.05  # of the running offset in `number_frames`
-_MIN_JUMP = 0.5  # of a period: more is a missing frame
-# Jitter of a period above which the numbers are doubtful: symmetric, and of late stamps.
+_MIN_JUMP = 0.5  # of a period; a larger jump is a missing frame
+# Jitter of a period above which the numbers are uncertain: symmetric, and of late timestamps.
 _MAX_HIDDEN_JITTER, _MAX_HIDDEN_DELAY = 0.25, 0.65
 _TRIED_MISSING = (0.005, 0.01, 0.02, 0.03, 0.05, 0.1)  # shares of frames
 _CUSUM_NATS = 16.0  # a false jump in ten million frames
-_MAX_EXCESS = 1.15  # of the scatter about a line over that about a running mean
+_MAX_EXCESS = 1.15  # of the scatter about a line relative to that about a running mean
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -42,20 +42,20 @@ class FrameTimes:
 
     description: str
     time_s: FloatArray  # (n,), strictly increasing
-    is_even: bool = True  # False: with the jitter of the stamps
+    is_even: bool = True  # False: with the jitter of the timestamps
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class AttitudeStamps:
-    """What the stamps of a reference say."""
+    """Results of the analysis of a reference's timestamps."""
 
     stamp_s: FloatArray  # (n,), as recorded
     frame: IntArray  # (n,), the number of each attitude's frame, strictly increasing
     period_s: float
-    jitter_s: float  # standard deviation of the stamps about a smooth clock
-    is_late: bool  # the stamps are late by a delay that changes
+    jitter_s: float  # standard deviation of the timestamps about a smooth clock
+    is_late: bool  # the timestamps are late by a delay that changes
     offset_std_s: float  # of the common offset of the times
-    candidates: tuple[FrameTimes, ...]  # the smoothest clock first; one if the stamps are times
+    candidates: tuple[FrameTimes, ...]  # the smoothest clock first; one if the timestamps are times
     is_resolved: bool = True  # False: jitter hides which frames are missing
 
     @property
@@ -67,11 +67,11 @@ class AttitudeStamps:
 def read_stamps(
     stamp_s: FloatArray, stamp: str = "", nominal_hz: float | None = None
 ) -> AttitudeStamps:
-    """Return the frames behind a row of stamps.
+    """Return the frames of a series of timestamps.
 
     Args:
         stamp_s: in the order of the frames, shape (n,); neighbours can be equal or swapped.
-        stamp: `arrival`, `sampled`, or empty if the recording does not say what they are.
+        stamp: `arrival`, `sampled`, or empty if the recording does not state their kind.
         nominal_hz: the rate of the frames, if known.
     """
     period_s = _frame_period(stamp_s) if nominal_hz is None else 1.0 / nominal_hz
@@ -117,10 +117,10 @@ def read_stamps(
 def _number_hidden(
     stamp_s: FloatArray, period_s: float, jitter_s: float
 ) -> tuple[IntArray, bool] | None:
-    """Return the numbers of frames where jitter hides which are missing, and if they are certain.
+    """Return frame numbers if jitter hides which frames are missing, and whether they are certain.
 
-    The period is known less well here. Several are tried, and the most likely numbers are
-    returned; None if the stamps are on a line for none of them.
+    The period is less well known in this case. Several periods are tried, and the most likely
+    numbers are returned; None if no period gives timestamps on a line.
     """
     mean_s = float(stamp_s[-1] - stamp_s[0]) / (stamp_s.size - 1)
     numbered = [
@@ -156,15 +156,15 @@ def number_frames(
 ) -> IntArray:
     """Return the number of each attitude's frame, shape (n,), strictly increasing.
 
-    Where a frame is missing, all later stamps are later by a period. So each stamp is judged
-    together with the stamps after it, relative to a running offset.
+    If a frame is missing, all later timestamps are later by a period. So each timestamp is tested
+    together with the following ones, relative to a running offset.
 
     Args:
         stamp_s: in the order of the frames, shape (n,).
         period_s: of the camera, to about 1 %.
-        jitter_s: standard deviation of the stamps.
-        by_least: judge the least delay of some stamps, as for stamps that are late, and not the
-            sum of all.
+        jitter_s: standard deviation of the timestamps.
+        by_least: test the least delay of some timestamps, for late timestamps, instead of the sum
+            of all.
     """
     row = np.arange(stamp_s.size, dtype=np.int64)
     offset_s = stamp_s - period_s * row
@@ -179,7 +179,7 @@ def number_frames(
 
 
 def _count_jumps(offset: FloatArray) -> IntArray:
-    """Return how many frames are missing before each row; offsets in periods, (n,)."""
+    """Return the number of missing frames before each row; offsets in periods, (n,)."""
     missing, total, running = np.zeros(offset.size, np.int64), 0, float(offset[0])
     for k, value in enumerate(offset.tolist()):
         error = value - running - total
@@ -192,12 +192,12 @@ def _count_jumps(offset: FloatArray) -> IntArray:
 
 
 def _count_hidden_jumps(offset: FloatArray, jitter: float) -> IntArray:
-    """Return the same where the jitter is as large as a period, by a cumulative sum test.
+    """Return the same if the jitter is as large as a period, by a cumulative sum test.
 
-    The test of Page (Biometrika 41, 1954) adds the log likelihood ratio of one missing frame.
+    The test of Page (Biometrika 41, 1954) adds the log-likelihood ratio of one missing frame.
     """
     missing, total = np.zeros(offset.size, np.int64), 0
-    usual_delay = 2.0 * _CUSUM_NATS * jitter**2  # frames until a missing frame is noticed
+    usual_delay = 2.0 * _CUSUM_NATS * jitter**2  # frames until a missing frame is detected
     gain = 1.0 / max(50.0, 5.0 * usual_delay)
     running = float(np.mean(offset[: max(5, round(usual_delay))]))
     evidence, start = 0.0, 0
@@ -218,7 +218,7 @@ def _count_hidden_jumps(offset: FloatArray, jitter: float) -> IntArray:
 
 
 def _frame_period(stamp_s: FloatArray) -> float:
-    """Return the usual period; over several steps where single ones scatter too much."""
+    """Return the usual period; over several steps if single ones scatter too much."""
     period_s = 0.0
     for span in (1, 2, 4, 8, 16):
         if stamp_s.size <= 4 * span:
@@ -232,7 +232,7 @@ def _frame_period(stamp_s: FloatArray) -> float:
 
 
 def _is_line(stamp_s: FloatArray, frame: IntArray) -> bool:
-    """Return whether the stamps scatter about a line as little as about their running mean."""
+    """Return whether timestamps scatter about a line as little as about their running mean."""
     frame_s = _regression_period(stamp_s, frame) * (frame - frame[0]).astype(np.float64)
     delay_s = stamp_s - frame_s
     width = max(5, round(1.0 / float(np.mean(np.diff(stamp_s)))))
@@ -243,7 +243,7 @@ def _is_line(stamp_s: FloatArray, frame: IntArray) -> bool:
 
 
 def _regression_period(stamp_s: FloatArray, frame: IntArray) -> float:
-    """Return the median slope between stamps that are half the recording apart."""
+    """Return the median slope between timestamps that are half the recording apart."""
     half = stamp_s.size // 2
     slopes = (stamp_s[half:] - stamp_s[:-half]) / (frame[half:] - frame[:-half])
     return float(np.median(slopes))
@@ -252,7 +252,7 @@ def _regression_period(stamp_s: FloatArray, frame: IntArray) -> float:
 def _candidates(
     stamp_s: FloatArray, frame: IntArray, period_s: float, jitter_s: float, is_late: bool
 ) -> tuple[list[FrameTimes], float]:
-    """Return regular times, from the stiffest clock on, and the uncertainty of their offset."""
+    """Return regular times, from the smoothest clock on, and the uncertainty of their offset."""
     frame_s = period_s * (frame - frame[0]).astype(np.float64)
     delay_s = stamp_s - frame_s
     line_s = _robust_line(frame_s, delay_s, jitter_s)
@@ -291,7 +291,7 @@ def _is_too_early(delay_s: FloatArray, period_s: float) -> BoolArray:
 
 
 def _robust_line(x: FloatArray, y: FloatArray, scale: float) -> FloatArray:
-    """Return the line through points at their places, (n,); far points count less (Huber)."""
+    """Return a line through points, (n,), evaluated at x; distant points count less (Huber)."""
     centred = x - x.mean()
     slope, level = 0.0, float(np.median(y))
     weight = np.ones(x.size)

@@ -18,9 +18,9 @@ from gyrorig_solver.reference.known_turns import TimeInterval
 
 VARIANCE_WINDOW_S = 1.0  # window of the variance (imu_tk: 101 samples at 100 Hz)
 MIN_REST_S = 1.0
-# Candidate thresholds, in units of the smallest variance. imu_tk tries the same ten and takes
-# that of the smallest residual, which can split rests. Here it is the highest threshold with a
-# similar residual, because a move taken for a rest causes a much larger error.
+# Candidate thresholds, in units of the smallest variance. imu_tk tries the same ten and uses the
+# one with the smallest residual, which can split rests. This module uses the highest threshold with
+# a similar residual, because a move that counts as a rest causes a much larger error.
 THRESHOLD_MULTIPLIERS = range(1, 11)
 MAX_RESIDUAL_RATIO = 3.0
 NOISE_WINDOW_S = 10.0  # the window of smallest variance is the rest, if none is marked

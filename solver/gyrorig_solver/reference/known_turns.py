@@ -59,7 +59,7 @@ def read_turns(events: Iterable[SessionEvent], origin_ns: int) -> TurnReference:
         if event.kind == EventKind.PHASE_BEGIN:
             open_ns[key] = event.host_time_ns
         elif event.kind == EventKind.PHASE_END:
-            # The end of a phase can be without its text.
+            # The event at the end of a phase can lack its text.
             open_key = (
                 key
                 if key in open_ns

@@ -1,9 +1,9 @@
-"""Error of a line through the least delays of stamps: its mean and its standard deviation.
+"""Error of a line through the least delays of timestamps: its mean and its standard deviation.
 
-The line lies below all delays and touches two of them, so that it is later than a delay of zero.
-How much depends on how many delays are near the least one. Their distribution there is taken as a
-power law, P(delay < x) = (x / scale)^exponent / n. The exponent is 1 for exponential and
-half-normal delays, and 2 where a delay is the sum of two of these. With a larger exponent, the
+The line is below all delays and touches two of them. Therefore it is later than a delay of zero.
+The difference depends on the number of delays near the least one. Their distribution there is
+modelled as a power law, P(delay < x) = (x / scale)^exponent / n. The exponent is 1 for exponential
+and half-normal delays, and 2 if a delay is the sum of two of these. With a larger exponent, the
 least value is not sharp, and the uncertainty is that of the first hundredth of the delays. The
 factors are from simulations of exponential, half-normal, uniform and gamma delays
 (`test_least_delay`).
@@ -21,7 +21,8 @@ NEAR_SHARE, FAR_SHARE = 0.01, 0.1  # of the delays, between which the power law 
 MIN_NEAR = 40  # delays
 MIN_EXPONENT = 0.5
 MAX_EXPONENT = 1.5  # above it, the delays have no sharp least value
-UNSHARP_SHARE = 1.0  # of the first hundredth of the delays is then the standard deviation
+# standard deviation in that case, relative to the first hundredth of the delays
+UNSHARP_SHARE = 1.0
 MEAN_FACTOR = 1.95  # mean error = factor scale
 STD_FACTOR, STD_POWER = 1.45, 0.9  # its standard deviation = factor scale / exponent^power
 SCALE_STD_FACTOR = 0.8  # relative: factor log(near) / sqrt(near exponent)
@@ -40,7 +41,7 @@ def line_error(excess_s: FloatArray, span_s: float) -> LineError:
 
     Args:
         excess_s: delays above the line, (n,).
-        span_s: length of the recording, in which the clock wanders off a line.
+        span_s: length of the recording, in which the clock deviates from a line.
     """
     wander_s = WALK_PER_SQRT_S * span_s**1.5 / math.sqrt(120.0)
     ordered_s = np.sort(excess_s[excess_s > 0.0])

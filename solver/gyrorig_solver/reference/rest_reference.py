@@ -14,7 +14,7 @@ from gyrorig_solver.reference.reference_motion import EvaluatedMotion
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RestReference:
-    """Zero rate in the rests, unknown outside. The rate of the Earth is neglected."""
+    """Zero rate in the rests, unknown outside; the rate of the Earth is neglected."""
 
     rests: tuple[TimeInterval, ...]
 

@@ -15,9 +15,9 @@ def prefix_products(vectors_rad: FloatArray) -> FloatArray:
     """Return R_k = exp(v_0) exp(v_1) ... exp(v_k), shape (n, 3, 3).
 
     Args:
-        vectors_rad: rotation vectors in the turning body's own frame, shape (n, 3).
+        vectors_rad: rotation vectors in the frame of the turning body, shape (n, 3).
 
-    A scan in log2(n) vectorised passes (Hillis and Steele 1986).
+    Prefix scan in log2(n) vectorised passes (Hillis and Steele 1986).
     """
     products = Rotation.from_rotvec(vectors_rad).as_matrix()
     step = 1
@@ -41,11 +41,11 @@ def relative_vectors(orientation_xyzw: FloatArray) -> FloatArray:
 
 
 def integrated_rate(vectors_rad: FloatArray, duration_s: FloatArray) -> FloatArray:
-    """Return the integral of the body rate over each of a row of neighbouring turns.
+    """Return the integral of the body rate over each of several consecutive turns.
 
-    A rotation vector is not that integral when the axis moves: Bortz' equation with a rate that
-    is linear in time gives integral = phi - phi x w' h^2 / 12, wrong in the fourth order. The
-    derivative w' is that between the two neighbouring steps.
+    A rotation vector is not that integral if the axis moves: Bortz' equation with a rate that is
+    linear in time gives integral = phi - phi x w' h^2 / 12, with an error of fourth order. The
+    derivative w' is computed from the two neighbouring steps.
 
     Args:
         vectors_rad: turns between attitudes, shape (n, 3).
@@ -64,8 +64,8 @@ def integrated_rate(vectors_rad: FloatArray, duration_s: FloatArray) -> FloatArr
 def turn_vectors(rate_rad_s: FloatArray, step_s: FloatArray) -> FloatArray:
     """Return the rotation vector of each step between samples of a body rate.
 
-    The rate is taken as linear between two samples: mean rate times the step, plus the
-    coning term (w_k x w_{k+1}) h^2 / 12 of the same equation.
+    The rate is treated as linear between two samples: mean rate times the step, plus the coning
+    term (w_k x w_{k+1}) h^2 / 12 of the same equation.
 
     Args:
         rate_rad_s: rate at the samples, body frame, shape (n, 3).

@@ -1,6 +1,6 @@
-"""The twin of a rig: what recordings say about it, as the file of an emulated rig.
+"""Twin of a rig: the results of its recordings, as the file of an emulated rig.
 
-Solver and emulator share no code; they meet in this file, whose format is `gyrorig_protocol.twin`.
+Solver and emulator share no code, only this file. Its format is in `gyrorig_protocol.twin`.
 
 What to use when: `fit_boards`, then `build_twin` and `write_twin`; `twin_summary` for a terminal.
 """

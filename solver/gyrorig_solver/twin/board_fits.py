@@ -2,7 +2,7 @@
 
 They are those of `gyrorig solve`: boards on one unit in the same recordings are fitted together.
 
-What to use when: `fit_boards` for recordings that were read.
+What to use when: `fit_boards` for recordings that are already read.
 """
 
 from collections.abc import Sequence

@@ -1,4 +1,4 @@
-"""What the recordings of one board say about it, as a part of the twin.
+"""Values of one board from its recordings, as a part of the twin.
 
 What to use when: `measure_board` with the fit of `pipeline`.
 """
@@ -27,22 +27,23 @@ from gyrorig_solver.twin.quantities import matrix, scalar, vector
 
 STATED_PROCESSES = (0, 1, 2, 4)  # of N, B, K, D and F: a gyroscope has no white angle noise
 CRYSTAL_WALK_PER_SQRT_S = 1e-8  # of a crystal's rate (docs/clocks.md)
-MAX_STAMPS = 2_000_000  # of a long recording, the first ones are sufficient
+MAX_STAMPS = 2_000_000  # in a long recording, the first ones are sufficient
 MIN_STAMPS = 100
-MAX_STAMP_DEVIATIONS = 10.0  # times the median deviation; beyond, a sample was dated late
+# times the median deviation; with a larger deviation, the timestamp is late
+MAX_STAMP_DEVIATIONS = 10.0
 TEMPERATURE_POINTS = 200
 MIN_TEMPERATURES = 2
-MAX_RELATIVE_LEVEL_STD = 0.7  # beyond, a recording does not determine a level
+MAX_RELATIVE_LEVEL_STD = 0.7  # with a larger one, a recording does not determine a level
 
 
 def measure_board(data: BoardData, criticised: CriticisedFit) -> TwinBoard:
-    """Return what the fit and the samples of one board say about it.
+    """Return the values of one board from its fit and its samples.
 
     A field without a value is left out, so that it keeps the default of the emulator.
 
     Args:
-        data: of the board. If there are several recordings, bias and clock are those of the last.
-        criticised: its fit.
+        data: of the board. Bias and clock are those of the last recording.
+        criticised: the fit of the board.
     """
     fit, samples, recording = criticised.fit, data.samples[-1], data.recordings[-1]
     gain_source: Source = "recording" if np.isfinite(fit.gain).any() else "default"
@@ -77,7 +78,7 @@ def _stated(value: float | None, unit: str) -> Scalar | None:
 
 
 def _time_offset(fit: GyroFit, samples: GyroSamples) -> Scalar:
-    """Return the whole lag of the samples, with the delay of the low-pass."""
+    """Return the total lag of the samples, including the delay of the low-pass."""
     std_s = fit.std.get("time_offset", math.nan)
     offset = scalar(fit.time_offset_s, std_s, "s")
     bandwidth_hz = samples.bandwidth_hz
@@ -87,7 +88,7 @@ def _time_offset(fit: GyroFit, samples: GyroSamples) -> Scalar:
 
 
 def _noise_levels(criticised: CriticisedFit) -> tuple[Vector | None, ...]:
-    """Return white noise, flicker, random walk and, if there is one, floor of the residual."""
+    """Return white noise, flicker, random walk and, if present, the floor of the residual."""
     noise, solution = criticised.fit.noise, criticised.solution
     if noise is None:
         return (None,) * len(STATED_PROCESSES)
@@ -117,8 +118,8 @@ def _level(values: FloatArray, relative: FloatArray, unit: str) -> Vector | None
 def mean_white_factor(spectrum: Spectrum) -> FloatArray:
     """Return the white noise of a recording relative to that at rest, shape (3,).
 
-    A fit can find more white noise in motion than at rest. The emulated rig has the same noise
-    always, so it gets the mean of both.
+    A fit can find more white noise in motion than at rest. The emulated rig always has the same
+    noise, so it gets the mean of both.
     """
     if spectrum.white_power is None:
         return np.ones(3)
@@ -137,7 +138,7 @@ def _relative_level_stds(noise: NoiseModel, spectrum: Spectrum) -> FloatArray:
 
     Args:
         noise: the fitted levels.
-        spectrum: that they were fitted to.
+        spectrum: the spectrum that they were fitted to.
     """
     unit_density = unit_densities(spectrum.frequency_hz, noise.sampling)
     total = noise.density_of_bins(spectrum)
@@ -152,7 +153,7 @@ def _relative_level_stds(noise: NoiseModel, spectrum: Spectrum) -> FloatArray:
         active = np.flatnonzero(shares.max(axis=1) > 0.0)
         information = 0.5 * (shares[active] * spectrum.count) @ shares[active].T
         information += np.eye(active.size) * PRIOR_LOG_STD**-2
-        # The levels are squares: the logarithm of an amplitude has half of the deviation.
+        # The levels are squares: the logarithm of an amplitude has half the standard deviation.
         log_stds = np.full(len(contributions), PRIOR_LOG_STD)
         log_stds[active] = np.sqrt(np.diag(np.linalg.inv(information)))
         stds[axis] = 0.5 * log_stds[list(STATED_PROCESSES)]
@@ -165,7 +166,7 @@ def _measure_odr(samples: GyroSamples, stamp_jitter: Scalar | None) -> Scalar | 
         return None
     odr_hz = 1.0 / samples.period_s
     jitter_s = 0.0 if stamp_jitter is None else stamp_jitter.value
-    ends = math.sqrt(2.0) * jitter_s / span_s  # the first and the last sample
+    ends = math.sqrt(2.0) * jitter_s / span_s  # error of the first and the last sample
     return scalar(odr_hz, odr_hz * math.hypot(_skew_std(samples, span_s), ends), "Hz")
 
 
@@ -184,7 +185,7 @@ def _measure_clock(samples: GyroSamples) -> TwinClock:
 
 
 def _skew_std(samples: GyroSamples, span_s: float) -> float:
-    """Return the uncertainty of a clock's skew: of its mapping, and by its wander meanwhile."""
+    """Return the uncertainty of a clock's skew, from its mapping and from its wander."""
     sigma_s = samples.clock.sigma_s
     mapping = math.sqrt(2.0) * (sigma_s if math.isfinite(sigma_s) else 0.0) / span_s
     wander = samples.clock.walk_per_sqrt_s
@@ -212,7 +213,7 @@ def _measure_stamp_jitter(recording: Recording, samples: GyroSamples) -> Scalar 
         return None
     deviation = float(np.median(np.abs(changes)))
     inside = changes[np.abs(changes) <= MAX_STAMP_DEVIATIONS * max(deviation, 1.0)]
-    # A second difference has six times the variance of a stamp; rounding to ticks adds 1/12.
+    # A second difference has six times the variance of a timestamp; rounding to ticks adds 1/12.
     variance = float(np.mean(inside**2)) / 6.0 - 1.0 / 12.0
     if variance <= 0.0:
         return scalar(0.0, 1.0 / tick_hz, "s")

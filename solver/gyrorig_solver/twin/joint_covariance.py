@@ -4,9 +4,9 @@ The fits of two boards have only the causes of their unit in common. Given these
 independent: with K the regression of a board's values on the unit's, the covariance of two boards
 is K1 U K2', and that of one board S + K U K'. U is the covariance of the unit's values.
 
-The time offset of a board and the start delay of the unit have one constant uncertainty with
-opposite signs, because only their sum shows in the data. The covariance here is that with the
-start delay as stated, so that a draw keeps the sum.
+The time offset of a board and the start delay of the unit share a constant error with opposite
+signs, because the data show only their sum. The covariance here is for the start delay as stated,
+so that a draw keeps the sum.
 
 What to use when: `join_covariances`; `session_wander_rad_s` for the uncertainty of a bias.
 """
@@ -53,7 +53,7 @@ def join_covariances(
 ) -> Posterior | None:
     """Return the joint covariance of all boards, None if it is empty or too large.
 
-    The start delay is in it with a negligible variance, so that no draw changes it.
+    It includes the start delay with a negligible variance, so that no draw changes it.
     """
     boards = [board_covariance(name, criticised, collected) for name, criticised in fits.items()]
     shared = tuple(
@@ -78,11 +78,11 @@ def join_covariances(
 
 
 def latency_covariance(unit: TwinUnit | None, link: TwinLink) -> NamedCovariance | None:
-    """Return the covariance of the latencies of an exchange with the unit, None without them.
+    """Return the covariance of the latencies of an exchange with the unit, None if unknown.
 
-    Pings show the sum of the latency floors of writing and reading, and the replies of the unit
+    Pings show the sum of the latency floors of writing and reading. The replies of the unit show
     the sum of its answer time and the latencies of the host. The sums are known better than their
-    parts, so that a draw keeps them.
+    parts, therefore a draw keeps the sums.
     """
     answer_time = None if unit is None else unit.answer_time
     parts = (link.floor, link.write_floor, link.write_jitter, answer_time)
@@ -92,7 +92,7 @@ def latency_covariance(unit: TwinUnit | None, link: TwinLink) -> NamedCovariance
     floor_s, write_floor_s, jitter_s, answer_s = stds
     matrix = np.diag(np.square(stds))
     matrix[0, 1] = matrix[1, 0] = -floor_s * write_floor_s
-    # The answer time contains the uncertainty of the floors, and that of the jitter is as large.
+    # The answer time contains the uncertainty of the floors. That of the jitter is equally large.
     shared_s2 = (min(floor_s, answer_s) ** 2 + jitter_s**2) / 2.0
     matrix[2, 3] = matrix[3, 2] = -min(shared_s2, jitter_s * answer_s)
     return NamedCovariance(LATENCIES, matrix)
@@ -118,11 +118,11 @@ def board_covariance(
 
 
 def session_wander_rad_s(criticised: CriticisedFit) -> FloatArray:
-    """Return the scatter of the mean bias of a session around that at power-up, shape (3,).
+    """Return the scatter of a session's mean bias around the bias at power-up, shape (3,).
 
-    The fit states the mean bias of its recording, and the emulated rig begins each session at its
-    bias at power-up. Flicker adds about its coefficient, and a random walk its growth during the
-    recording.
+    The fit gives the mean bias of its recording, and the emulated rig starts each session with its
+    bias at power-up. The difference from flicker is about its coefficient, and that from a random
+    walk is its growth during the recording.
     """
     noise, solution = criticised.fit.noise, criticised.solution
     if noise is None or solution is None:
@@ -164,7 +164,7 @@ def _twin_names(
 
 
 def _common_variance_s2(solution: ConvergedFit) -> float:
-    """Return the variance of the time offset that the start delay has, too."""
+    """Return the variance that the time offset shares with the start delay."""
     shown = [
         session.common_std_s
         for session, analysis in zip(solution.sessions, solution.session_observability, strict=True)
@@ -177,7 +177,7 @@ def _join(boards: list[NamedCovariance], shared: tuple[str, ...]) -> NamedCovari
     """Return the covariance of all values, with the shared ones first."""
     unit_names: list[str] = []
     unit = np.zeros((0, 0))
-    for board in boards:  # the first board that has a value of the unit states its variance
+    for board in boards:  # the variance comes from the first board that has a value of the unit
         new = tuple(name for name in shared if name in board.names and name not in unit_names)
         if new:
             unit = _block_diagonal(unit, board.part(new, new))
@@ -200,7 +200,7 @@ def _join(boards: list[NamedCovariance], shared: tuple[str, ...]) -> NamedCovari
     stacked = np.vstack(regressions)
     joint = stacked @ unit @ stacked.T
     board_block = total.copy()
-    board_block[: len(unit_names), : len(unit_names)] = 0.0  # is in the first part
+    board_block[: len(unit_names), : len(unit_names)] = 0.0  # already in `joint`
     return NamedCovariance(tuple(names), np.asarray(joint + board_block))
 
 

@@ -26,14 +26,14 @@ from gyrorig_solver.pipeline import BoardData
 from gyrorig_solver.twin.quantities import scalar
 from gyrorig_solver.twin.rig_mapping import BITS_PER_BYTE, board_line
 
-MIN_PINGS = 50  # fewer exchanges have no latency near the floor
+MIN_PINGS = 50  # with fewer exchanges, none has a latency near the floor
 STALL_FACTOR = 15.0  # times the mean jitter: an exponential exceeds it once in 3e6 samples
-QUEUE_SHARE = 0.02  # of the jitter, by frames that wait for other frames on the line
-USUAL_FLOORS_S = 110e-6  # of writing and reading together, where nothing determines them
-MIN_STALLS = 8  # fewer do not determine the shortest and the longest one
+QUEUE_SHARE = 0.02  # of the jitter, from frames that wait for other frames on the line
+USUAL_FLOORS_S = 110e-6  # of writing and reading together, if nothing determines them
+MIN_STALLS = 8  # fewer do not determine the shortest and the longest stall
 USUAL_STALLS_S = (5e-3, 0.2)  # shortest and longest stall of a busy computer
-USUAL_STALLS_STD = 0.25  # of the longest one, relative
-SAME_STALL_S = 0.02  # within this time all ports have been served after a stall
+USUAL_STALLS_STD = 0.25  # relative, of the longest stall
+SAME_STALL_S = 0.02  # after a stall, all ports are served within this time
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,7 +57,7 @@ class Latency:
     def stall_interval_s(self) -> tuple[float, float]:
         """Mean time from a stall to the next one, and its uncertainty.
 
-        Without stalls the time is 0 and its uncertainty the time of the recordings.
+        Without stalls, the time is 0 and its uncertainty is the duration of the recordings.
         """
         count = len(self.stalls)
         if count == 0:
@@ -69,9 +69,9 @@ class Latency:
     def stall_range_s(self) -> tuple[float, float, float, float] | None:
         """Shortest and longest stall, and the uncertainty of each; None without stalls.
 
-        The ends of a uniform distribution are estimated from the extremes of n lengths: each is
-        one n-th of the range inside. Few lengths do not determine the ends, which are then the
-        usual ones or the extremes.
+        The ends of a uniform distribution are estimated from the extremes of n lengths: each
+        extreme is one n-th of the range inside. Few lengths do not determine the ends, so the usual
+        ends or the extremes are used.
         """
         lengths = [stall.length_s for stall in self.stalls]
         if not lengths:
@@ -102,7 +102,7 @@ def measure_latency(boards: Sequence[GyroSamples]) -> Latency | None:
         boards: the samples of all boards and recordings.
 
     Returns:
-        None where no board has arrival times, as in imported data.
+        None if no board has arrival times, as in imported data.
     """
     excesses: list[FloatArray] = []
     stalls: list[Stall] = []
@@ -115,7 +115,7 @@ def measure_latency(boards: Sequence[GyroSamples]) -> Latency | None:
         is_late = excess_s > STALL_FACTOR * mean_s
         excesses.append(excess_s[~is_late])
         spans[samples.origin_ns] = float(np.ptp(samples.time_s))
-        origin_s = samples.origin_ns * 1e-9  # each board of a recording has its own
+        origin_s = samples.origin_ns * 1e-9  # each board of a recording has a separate origin
         stalls += [
             Stall(origin_s + stall.end_s, stall.length_s)
             for stall in _find_stalls(samples, excess_s, is_late)
@@ -137,9 +137,9 @@ def measure_latency(boards: Sequence[GyroSamples]) -> Latency | None:
 def measure_floor(pings: RecordArray, tick_hz: float, baud: float) -> HostFloor | None:
     """Return the smallest latency of the host from the pings of a board on a serial line.
 
-    The smallest time of an exchange, without the time in the board, is the transmission of the
-    request and of the reply and the latency floors of writing and reading. The two floors are not
-    known separately.
+    The smallest time of an exchange, without the time in the board, consists of the transmission of
+    the request and of the reply and the latency floors of writing and reading. The two floors are
+    not known separately.
 
     Args:
         pings: of a board that answers time requests.
@@ -147,7 +147,7 @@ def measure_floor(pings: RecordArray, tick_hz: float, baud: float) -> HostFloor 
         baud: of its line.
 
     Returns:
-        None with too few pings, or where the exchange is shorter than the line allows.
+        None with too few pings, or if the exchange is shorter than the line allows.
     """
     if pings.size < MIN_PINGS:
         return None
@@ -157,7 +157,8 @@ def measure_floor(pings: RecordArray, tick_hz: float, baud: float) -> HostFloor 
     )
     exchange_s = (times_ns(pings["host_receive"]) - times_ns(pings["host_send"])) * 1e-9
     ticks = pings["device_send"].astype(np.int64) - pings["device_receive"].astype(np.int64)
-    exchange_s, ticks = exchange_s[ticks >= 0], ticks[ticks >= 0]  # the counter can wrap in between
+    # the counter can overflow between the two
+    exchange_s, ticks = exchange_s[ticks >= 0], ticks[ticks >= 0]
     if exchange_s.size < MIN_PINGS:
         return None
     latency_s = exchange_s - ticks / tick_hz
@@ -189,7 +190,7 @@ def _find_stalls(samples: GyroSamples, excess_s: FloatArray, is_late: BoolArray)
         return []
     arrival_s = samples.time_s[late] + excess_s[late]
     groups = np.split(np.arange(late.size), np.flatnonzero(np.diff(arrival_s) > SAME_STALL_S) + 1)
-    # The stall began up to a period before the first sample that it held back.
+    # The stall started up to one period before the first sample that it delayed.
     before_s = samples.period_s / 2.0
     return [
         Stall(float(arrival_s[group].max()), float(excess_s[late[group]].max()) + before_s)
@@ -198,7 +199,7 @@ def _find_stalls(samples: GyroSamples, excess_s: FloatArray, is_late: BoolArray)
 
 
 def _merge_stalls(stalls: Sequence[Stall]) -> tuple[Stall, ...]:
-    """Return each stall once: several boards show the same one, the longest length is nearest."""
+    """Return each stall once; if several boards show it, use the longest length."""
     merged: list[Stall] = []
     for stall in sorted(stalls, key=lambda stall: stall.end_s):
         if merged and stall.end_s - merged[-1].end_s < SAME_STALL_S:
@@ -209,7 +210,7 @@ def _merge_stalls(stalls: Sequence[Stall]) -> tuple[Stall, ...]:
 
 
 def _distinct_span_s(spans: dict[int, float]) -> float:
-    """Return the time of all recordings; boards of one recording begin within a second."""
+    """Return the duration of all recordings; boards of one recording begin within a second."""
     total_s, last_ns = 0.0, -math.inf
     for origin_ns, span_s in sorted(spans.items()):
         if origin_ns - last_ns > 1e9:
@@ -247,7 +248,7 @@ class MeasuredLink:
 
 
 def measure_link(boards: Mapping[str, BoardData]) -> MeasuredLink:
-    """Return what the arrival times of all boards say about their link."""
+    """Return the properties of the link from the arrival times of all boards."""
     latency = measure_latency(
         [samples for data in boards.values() for samples in data.samples if _is_live(samples)]
     )
@@ -260,7 +261,7 @@ def measure_link(boards: Mapping[str, BoardData]) -> MeasuredLink:
 
 
 def _is_live(samples: GyroSamples) -> bool:
-    """Return whether the samples have arrival times of their own."""
+    """Return whether the samples have arrival times."""
     return samples.metadata.get("link") != "file" and "tick_hz" in samples.metadata
 
 
@@ -288,7 +289,7 @@ def _best_floor(floors: Mapping[str, HostFloor]) -> HostFloor | None:
 
 
 def _section(latency: Latency | None, floor: HostFloor | None) -> TwinLink:
-    """Return the section; what is not determined is left out."""
+    """Return the section without values that are not determined."""
     values: dict[str, Scalar | None] = {}
     if latency is not None:
         values["jitter"] = scalar(latency.jitter_s, latency.jitter_std_s, "s")

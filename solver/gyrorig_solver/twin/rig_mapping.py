@@ -1,10 +1,10 @@
 """The ordinary part of a twin's rig file: the devices, all of them emulated.
 
-A recording of `gyrorigd` contains the rig file of its session. Its boards, their formats and the
-settings of the unit are taken from there. An imported recording has no rig file; then each board
-has frames of this project.
+A recording of `gyrorigd` contains the rig file of its session. The twin takes the boards, their
+formats and the settings of the unit from it. An imported recording has no rig file; then each board
+sends frames of this project.
 
-What to use when: `build_rig_mapping`, then add the section `twin`.
+What to use when: `build_rig_mapping`; the caller then adds the section `twin`.
 """
 
 import math

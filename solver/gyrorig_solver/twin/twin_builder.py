@@ -26,28 +26,29 @@ from gyrorig_solver.twin.twin_causes import collect_causes
 from gyrorig_solver.twin.unit_measurement import UNIT_RECORD, first_move_s, measure_unit
 
 TWIN_NAME = "twin.yaml"
-# What tells two rigs apart, by the record of the metadata.
+# Metadata that distinguish two rigs, by record.
 RIG_KEYS = {UNIT_RECORD: ("driver", "model", "dialect", "serial"), "gyrorig": ("uid", "rig")}
 SAME_RIG_REMEDY = "give the recordings of one rig only"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BuiltTwin:
-    """A twin with its rig file, and what was left out."""
+    """A twin with its rig file, and the causes and values that it lacks."""
 
     twin: Twin
     rig: dict[str, Any]  # the whole document
     verdicts: Mapping[str, str]  # of the findings, by board
-    alternatives: tuple[tuple[str, ...], ...]  # of each cause, those that the data do not exclude
+    # of each cause: the causes that the data do not exclude
+    alternatives: tuple[tuple[str, ...], ...]
     not_emulated: tuple[str, ...]  # named causes that the emulated rig does not have
     missing: tuple[str, ...] = ()  # what the recordings report as missing
 
 
 def check_one_rig(recordings: Sequence[Recording]) -> None:
-    """Refuse recordings of different rigs.
+    """Raise an error for recordings of different rigs.
 
     Raises:
-        UsageError: two recordings have rigs, units, or boards of one name, that are not the same,
+        UsageError: the rigs, the units, or boards with the same name differ between two recordings,
             or only one of them has a unit.
     """
     with_unit = [recording.path.name for recording in recordings if has_unit([recording])]
@@ -123,10 +124,10 @@ def build_twin(boards: Mapping[str, BoardData], fits: Mapping[str, CriticisedFit
 
 
 def write_twin(out: Path, built: BuiltTwin) -> Path:
-    """Write the rig file of a twin, `OUT/twin.yaml`; an earlier one is kept as `twin-0001.yaml`.
+    """Write the rig file of a twin, `OUT/twin.yaml`; rename an earlier one to `twin-0001.yaml`.
 
     Raises:
-        MachineError: the folder cannot be made or written.
+        MachineError: the folder cannot be created or written.
     """
     path = out / TWIN_NAME
     if path.exists():
@@ -171,7 +172,7 @@ def _recording_entry(recording: Recording, boards: Mapping[str, BoardData]) -> T
 def _measure_unit(
     boards: Mapping[str, BoardData], fits: Mapping[str, CriticisedFit], link: MeasuredLink
 ) -> TwinUnit | None:
-    """Return the unit by the last recording that has one, None without a unit."""
+    """Return the unit from the last recording that has one, None without a unit."""
     for name, data in boards.items():
         solution = fits[name].solution
         if solution is None:

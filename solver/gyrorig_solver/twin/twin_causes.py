@@ -23,13 +23,13 @@ from gyrorig_solver.twin.quantities import scalar
 
 @dataclass(slots=True, eq=False)
 class CollectedCauses:
-    """The causes of a twin, and where each board's fit has their values."""
+    """The causes of a twin, and the places of their values in each board's fit."""
 
     causes: list[TwinCause] = field(default_factory=list)
     # By board: label of a value in its fit, and number and parameter of the twin's cause.
     places: dict[str, dict[str, tuple[int, str]]] = field(default_factory=dict)
     alternatives: list[tuple[str, ...]] = field(default_factory=list)  # of each cause
-    not_emulated: list[str] = field(default_factory=list)  # causes that are no property of a rig
+    not_emulated: list[str] = field(default_factory=list)  # causes that are not a property of a rig
 
 
 def collect_causes(fits: Mapping[str, CriticisedFit]) -> CollectedCauses:
@@ -79,7 +79,7 @@ def _twin_cause(entry: CauseEntry, owner: str | None, sizes: dict[str, Scalar]) 
 
 
 def _stated_sizes(entry: CauseEntry) -> dict[str, Scalar]:
-    """Return the values of a cause that the checks of the raw samples have found."""
+    """Return the values of a cause that the checks of the raw samples detected."""
     return {
         name: Scalar(size.value, size.std, size.unit)
         for name, size in entry.parameters.items()
@@ -90,7 +90,7 @@ def _stated_sizes(entry: CauseEntry) -> dict[str, Scalar]:
 def _fitted_sizes(cause: NamedCause) -> dict[str, Scalar]:
     """Return all values of a cause in the fit.
 
-    The findings state those that differ from zero. The others belong to the same fit: without
+    The findings state the values that differ from zero. The others belong to the same fit: without
     them, bias and sensor matrix would be wrong.
     """
     sizes = {value.name: scalar(value.value, value.std, value.unit) for value in cause.values}
@@ -120,7 +120,7 @@ def _common_sizes(criticised: CriticisedFit, cause: NamedCause) -> dict[str, Sca
 def _belongs_to_unit(cause: NamedCause) -> bool:
     """Return whether a cause is one of the unit or of the environment.
 
-    A cause of the unit can be attributed to boards whose sizes differ; a rig has it once.
+    A cause of the unit can be attributed to boards with different sizes; a rig has it once.
     """
     if is_unit_cause(cause.term) or cause.part == "environment":
         return True

@@ -1,7 +1,7 @@
-"""A twin as lines for a terminal: what is determined, and what stays at the defaults.
+"""A twin as lines for a terminal: determined values, and values that keep their defaults.
 
-What to use when: `twin_summary` after a twin was built; `undetermined_values` for what the
-recordings do not show.
+What to use when: `twin_summary` after a twin was built; `undetermined_values` for the values that
+the recordings do not show.
 """
 
 from collections.abc import Iterator
@@ -27,7 +27,7 @@ UNEXPLAINED = "a part of the residual has no known cause; the twin does not cont
 UNIT_VALUES = ("answer_time", "start_delay")
 LINK_VALUES = ("floor", "jitter", "stall_interval")
 NOT_SHOWN_OF_BOARD = ("temperature", "clock", "noise_floor")
-# Key of a value of the twin: words for people.
+# Key of a value of the twin, and its name for people.
 VALUE_NAMES = {
     "gain": "sensor matrix",
     "time_offset": "time offset",
@@ -78,7 +78,7 @@ def undetermined_values(twin: Twin) -> list[str]:
 
 
 def twin_warnings(built: BuiltTwin) -> list[str]:
-    """Return what the twin of these recordings does not contain."""
+    """Return the causes and data that the twin of these recordings lacks."""
     warnings = [] if built.twin.unit is not None else [NO_UNIT]
     boards = [name for name, verdict in built.verdicts.items() if verdict == "unexplained"]
     if boards:

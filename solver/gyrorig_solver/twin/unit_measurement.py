@@ -1,10 +1,10 @@
-"""What a recording says about the motion unit: reply times, start delays, clock and settings.
+"""Values of the motion unit from a recording: reply times, start delays, clock and settings.
 
-The unit takes its position at some time between the last byte of a request and the first byte of
+The unit samples its position at some time between the last byte of a request and the first byte of
 the reply. The fit of the moves assumes the middle of this time. Therefore the start delay has a
-constant uncertainty that the time offset of the boards has, too; only their sum is determined.
+constant error that the time offset of the boards also has; only their sum is determined.
 
-What to use when: `measure_unit` for a recording with a unit, and `first_move_s` for the moment at
+What to use when: `measure_unit` for a recording with a unit, and `first_move_s` for the time at
 which its program begins.
 """
 
@@ -32,12 +32,12 @@ MIN_POLLS = 2
 
 
 def measure_unit(recording: Recording, motion: ReferenceMotion, host: HostLatency) -> TwinUnit:
-    """Return what a recording says about its unit.
+    """Return the values of the unit from a recording.
 
     Args:
         recording: with a unit.
         motion: the reference of its fit.
-        host: its usual latency in an exchange.
+        host: the usual latency of the host in an exchange.
     """
     facts = recording.metadata.get(UNIT_RECORD, {})
     earliest_s, latest_s, ticks = _answer_windows(recording, facts)
@@ -57,7 +57,7 @@ def measure_unit(recording: Recording, motion: ReferenceMotion, host: HostLatenc
 
 
 def first_move_s(recording: Recording, origin_ns: int) -> float | None:
-    """Return when the first move was requested, since `origin_ns`; None without a move."""
+    """Return the time of the first move's request, since `origin_ns`; None without a move."""
     orders = recording.motion_orders()
     is_move = np.isin(orders["kind"], MOTION_KINDS) & (orders["accepted"] != 0)
     if not is_move.any():
@@ -66,7 +66,7 @@ def first_move_s(recording: Recording, origin_ns: int) -> float | None:
 
 
 def _start_delay(motion: ReferenceMotion, host: HostLatency) -> Scalar | None:
-    """Return the usual time from the last byte of an order until its move starts."""
+    """Return the usual time from the last byte of a command until its move starts."""
     if not isinstance(motion, PanTiltReference):
         return None
     delays_s = motion.start_delays_s

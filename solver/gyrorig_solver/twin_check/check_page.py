@@ -1,6 +1,6 @@
 """The page "Simulation before / after / measured": one self-contained HTML file.
 
-What to use when: `render_check` for the text, which the caller writes.
+What to use when: `render_check` for the text of the page, which the caller writes.
 """
 
 from collections.abc import Sequence
@@ -39,7 +39,7 @@ from gyrorig_solver.twin_check.recording_check import BoardCheck
 from gyrorig_solver.twin_check.session_features import CLOCK_S, SENSOR_AXES
 from gyrorig_solver.twin_check.twin_folder_check import TwinCheck
 
-OVERLAY_S = 3.0  # of a close-up of moves
+OVERLAY_S = 3.0  # of a detail view of moves
 BAND_SIGMA = 2.0
 TIMING = {
     "latency": "latency above the smallest, ms",
@@ -122,7 +122,7 @@ def _section(board: BoardCheck) -> dict[str, Any]:
 
 
 def _edge_figures(board: BoardCheck) -> list[dict[str, str]]:
-    """Draw the residual after the starts and ends of moves, of the twin and of what was before."""
+    """Draw the residual after the starts and ends of moves, of the twin and of the default."""
     earlier = by_key((board.without_causes or board.before).comparisons)
     known = by_key(board.after.comparisons)
     return [
@@ -152,7 +152,7 @@ def _cause_share_text(board: BoardCheck) -> str | None:
 
 
 def _close_up(board: BoardCheck) -> str:
-    """Draw the rates where the default simulation is most wrong, relative to all of the time."""
+    """Draw the rates in the window in which the default simulation has the largest error."""
     session = board.session
     window = max(2, round(OVERLAY_S * session.sampling.rate_hz))
     error = (board.before.residual_rad_s**2).sum(axis=1)
@@ -214,7 +214,7 @@ def _timing_figure(comparisons: Sequence[FamilyComparison]) -> str:
 
 
 def _rest_figure(comparison: FamilyComparison | None) -> str:
-    """Draw the rest positions of the unit minus the ordered ones, over the draws of the twin."""
+    """Draw the rest positions of the unit minus the commanded ones, over the draws of the twin."""
     if comparison is None:
         return ""
     family = comparison.family

@@ -1,7 +1,7 @@
-"""Texts of a twin check: verdict, what the simulation got wrong, and plain values for JSON.
+"""Texts of a twin check: verdict, errors of the simulation, and plain values for JSON.
 
-What to use when: `summarise` for the terminal, `to_plain` for `--json`; `differences` for what a
-simulation gets wrong; `gain_text` for the gain on new recordings.
+What to use when: `summarise` for the terminal, `to_plain` for `--json`; `differences` for the
+errors of a simulation; `gain_text` for the gain on new recordings.
 """
 
 import math
@@ -17,8 +17,8 @@ from gyrorig_solver.twin_check.recording_check import BoardCheck, StageCheck
 from gyrorig_solver.twin_check.twin_folder_check import TwinCheck
 
 TWIN_ALONE = "twin without its causes"
-EXPLAINABLE_SHARE = 0.2  # rms in units of the noise; a smaller one has no useful share
-FALSE_ALARM = 0.01  # of comparison board in comparison recording, all statistics together
+EXPLAINABLE_SHARE = 0.2  # rms in units of the noise; below it, a share is not informative
+FALSE_ALARM = 0.01  # probability for one board in one recording, all statistics together
 
 
 FITTED_NOTE = (
@@ -28,7 +28,7 @@ FITTED_NOTE = (
 
 
 def level(stage: StageCheck) -> float:
-    """Return the limit of a p-value (Bonferroni). The density is one statistic, too."""
+    """Return the limit of a p-value (Bonferroni); the density also counts as one statistic."""
     return FALSE_ALARM / (len(stage.comparisons) + 1)
 
 
@@ -86,7 +86,7 @@ def _scalar_text(cause: str, name: str, value: Scalar) -> str:
 
 
 def residual_share_text(board: BoardCheck) -> str:
-    """Return how much of the residual that is not noise the twin explains; empty if unknown."""
+    """Return the share of the residual without noise that the twin explains; empty if unknown."""
     noise = noise_rms(board.after)
     parts = []
     for stage, name in ((board.before, "default simulation"), (board.without_causes, TWIN_ALONE)):
@@ -116,7 +116,7 @@ def noise_rms(stage: StageCheck) -> float:
 
 
 def manager_text(check: TwinCheck) -> str:
-    """Return what was wrong, why, what it means, and how much better it is now."""
+    """Return the error, its reason, its consequence, and the improvement."""
     chosen = check.held_out or check.boards
     before = _mean([residual_rms(board.before) for board in chosen])
     after = _mean([residual_rms(board.after) for board in chosen])
@@ -163,7 +163,7 @@ def gain_text(check: TwinCheck) -> str:
 
 
 def _parts_text(check: TwinCheck) -> str:
-    """Return which part of the gain on new recordings calibration and causes have."""
+    """Return the parts of the gain on new recordings from the calibration and from the causes."""
     if not check.twin.causes:
         return "All of this gain comes from the calibration, because the twin has no causes."
     calibration = _mean([board.calibration_gain_nats_per_s for board in check.held_out])
@@ -179,7 +179,7 @@ def _parts_text(check: TwinCheck) -> str:
 
 
 def _cause_share_text(check: TwinCheck) -> str:
-    """Return how much of what the calibration alone leaves the causes recover."""
+    """Return the share of the error after calibration alone that the causes recover."""
     known = [board.cause_share for board in check.held_out if board.cause_share is not None]
     if not known:
         return (
@@ -213,7 +213,7 @@ def verdict_text(board: BoardCheck) -> str:
 def summarise(check: TwinCheck) -> str:
     """Return the lines for the terminal."""
     lines = [manager_text(check)]
-    # First the recordings that test the twin.
+    # The recordings that test the twin come first.
     for board in sorted(check.boards, key=lambda board: not board.is_held_out):
         kind = "not used for the fit" if board.is_held_out else "used for the fit"
         lines += ["", f"{board.board} in {board.recording} ({kind})"]

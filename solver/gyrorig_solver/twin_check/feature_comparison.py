@@ -1,12 +1,13 @@
 """Comparison of measured features with those of simulated sessions: p-values from the draws.
 
 The distance of a family is the mean square of its deviations from the other sessions, in units of
-their scatter. The measurement and each draw are compared with all others in the same way, so that
-without a difference they are exchangeable: the rank of the measurement among the draws is uniform,
-whatever the distribution of the distances is. Between the ranks, and beyond the largest draw,
-Student's t for the logarithm of the distance gives the rest of the p-value. It can therefore be
-smaller than one over the number of draws. The distances of rare events, as stalls of the host, have
-no such logarithm: most sessions have none, and one has many. There the rank alone counts.
+their scatter. The measurement and each draw are compared with all others in the same way. Without a
+difference they are therefore exchangeable: the rank of the measurement among the draws is uniform
+for any distribution of the distances. Between the ranks, and beyond the largest draw, Student's t
+for the logarithm of the distance gives the rest of the p-value. The p-value can therefore be
+smaller than one over the number of draws. For rare events, such as stalls of the host, the
+logarithm of the distance does not have such a distribution: most sessions have no event, and one
+has many. For these, only the rank counts.
 
 What to use when: `compare_families` for all families of a recording, `upper_tail` for one value,
 `rank_probability` for one value of rare events.
@@ -98,11 +99,11 @@ def _compare(family: Family, draws: FloatArray) -> FamilyComparison | None:
 def upper_tail(value: float, sample: FloatArray) -> float:
     """Return the probability that one more value of a distribution is larger than `value`.
 
-    The rank among n values decides between n + 1 equal probabilities. Within one of them,
-    Student's t for one more value of a normal sample decides.
+    The rank among n values selects one of n + 1 equally probable intervals. Within this interval,
+    Student's t for one more value of a normal sample gives the probability.
 
     Args:
-        value: the measured one.
+        value: the measured value.
         sample: values of the distribution, at least 2.
     """
     descending = np.sort(sample)[::-1]
@@ -123,10 +124,10 @@ def upper_tail(value: float, sample: FloatArray) -> float:
 
 
 def rank_probability(value: float, sample: FloatArray) -> float:
-    """Return the mean rank of a value among a sample's, as a share: no less than 1/(n + 1).
+    """Return the mean rank of a value in a sample, as a share: at least 1/(n + 1).
 
     Args:
-        value: the measured one.
+        value: the measured value.
         sample: values of the distribution, n.
     """
     larger = int(np.count_nonzero(sample > value))

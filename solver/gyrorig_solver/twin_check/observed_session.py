@@ -1,6 +1,6 @@
-"""One recording of one board, read in the same way whether it is measured or simulated.
+"""One recording of one board, read in the same way for measurement and simulation.
 
-A comparison is only fair if both sides pass the same program: the same clock mapping, the same
+A comparison is fair only if the same code processes both sides: the same clock mapping, the same
 start times from the position replies, the same block means.
 
 What to use when: `ObservedSession.of` for a recording; `check_has_unit` before a simulation;
@@ -27,9 +27,9 @@ AXES = ("pan", "tilt")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class AxisMoves:
-    """The moves of one axis, as the position replies show them."""
+    """The moves of one axis, from the position replies."""
 
-    command_s: FloatArray  # (m,), time of each order
+    command_s: FloatArray  # (m,), time of each command
     start_s: FloatArray  # (m,)
     end_s: FloatArray  # (m,)
     direction: FloatArray  # (m,), 1 or -1
@@ -123,17 +123,17 @@ class ObservedSession:
 
     @cached_property
     def first_sequence(self) -> int:
-        """The board's own number of the sample with number 0."""
+        """The board's number of the sample with index 0."""
         columns = self.recording.imu_columns(BoardId(self.samples.board))
         return int(columns.sequence[0]) - int(self.samples.number[0])
 
     def sample_numbers(self) -> IntArray:
-        """Return the board's own numbers of the samples, shape (m,)."""
+        """Return the board's numbers of the samples, shape (m,)."""
         return np.asarray(self.first_sequence + self.samples.number.astype(np.int64))
 
 
 def check_has_unit(recording: Recording) -> None:
-    """Check that a simulation can replay the orders of a recording.
+    """Check that a simulation can replay the commands of a recording.
 
     Raises:
         InputError: the recording has no pan-tilt unit.

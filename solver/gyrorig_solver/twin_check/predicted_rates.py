@@ -1,11 +1,11 @@
 """The noise-free rates of a simulation at the sample times of another recording.
 
-Simulated and real unit obey the same orders, but each move begins at its own time: the unit
-answers an order a few milliseconds later or earlier. No simulation can predict these delays one by
-one, therefore they are taken from the recording: each move of the prediction is shifted to
-the start that the position replies of the recording show. The distribution of the delays is
-compared separately, see `session_features`. The remaining error of a start is an unknown of the
-likelihood, see `predictive_density`.
+Simulated and real unit execute the same commands, but the start times of their moves differ: the
+unit answers a command a few milliseconds later or earlier. No simulation can predict the single
+delays. Therefore the prediction takes them from the recording: each move is shifted to the start
+that the position replies of the recording show. The distribution of the delays is compared
+separately, see `session_features`. The remaining error of a start is an unknown of the likelihood,
+see `predictive_density`.
 
 What to use when: `SimulatedRates.of` for a run; `SimulatedRates.at` for the prediction.
 """
@@ -24,7 +24,7 @@ from gyrorig_solver.twin_check.observed_session import AXES, ObservedSession
 
 # Tilt turns the stage about its x axis, pan about the other two.
 STAGE_AXES_OF = ((1, 2), (0,))
-LEAD_S = 0.01  # a move's shift begins this much before its start: the error of a start
+LEAD_S = 0.01  # a move's shift begins this much before its start, because the start has an error
 GAIN_BLOCK_S = 0.5  # means for the gain; longer than the delay of a sensor
 
 
@@ -32,7 +32,7 @@ GAIN_BLOCK_S = 0.5  # means for the gain; longer than the delay of a sensor
 class SimulatedRates:
     """Noise-free rates of one simulated session."""
 
-    own_rad_s: FloatArray  # block means at the session's own samples, (n, 3)
+    own_rad_s: FloatArray  # block means at the session's samples, (n, 3)
     rates: CubicSpline  # over the time of the simulated session
     starts_s: tuple[FloatArray, FloatArray]  # true starts of pan and tilt
     first_s: float  # time of the first sample
@@ -59,7 +59,7 @@ class SimulatedRates:
                 "simulate the session again",
             )
         inside = np.arange(int(numbers[0]), int(numbers[-1]) + 1)
-        # Between lost samples the mapped time follows the true one.
+        # Between lost samples, the mapped time changes like the true time.
         mapped_s = true_s[inside] + np.interp(
             inside, numbers, session.samples.time_s - true_s[numbers]
         )
@@ -135,7 +135,7 @@ def _interpolate(
 
     At the edges of the motion, the rates change within a sample. The rates half a sample before
     each sample keep the error of the interpolation far below the noise. Without them, a recording
-    whose samples lie between those of the simulation has a larger residual than the draws.
+    whose samples are between those of the simulation has a larger residual than the draws.
 
     Args:
         mapped_s: times of the samples, (n,).
@@ -163,7 +163,7 @@ def _mapped_starts(true_s: FloatArray, observed_s: FloatArray) -> FloatArray:
 
 
 def _match_starts(starts_s: FloatArray, others_s: FloatArray) -> FloatArray:
-    """Return the other start minus the own one for each of some starts, shape of `starts_s`.
+    """Return, for each of some starts, the other start minus this start, shape of `starts_s`.
 
     With unequal numbers of moves, each start is matched with the nearest one.
     """
@@ -177,14 +177,14 @@ def _match_starts(starts_s: FloatArray, others_s: FloatArray) -> FloatArray:
 
 
 def _own_block_means(session: ObservedSession, rates: FloatArray, numbers: IntArray) -> FloatArray:
-    """Return the block means of the noise-free rates at the session's own samples."""
+    """Return the block means of the noise-free rates at the session's samples."""
     first = int(np.searchsorted(session.samples.time_s, session.time_s[0]))
     begin = int(numbers[first])
     return session.block_means(rates[begin : begin + session.time_s.size])
 
 
 def _approximate_gain(session: ObservedSession, rates: FloatArray) -> FloatArray:
-    """Return the gain from means of the stage rate and the sensor's, shape (3, 3).
+    """Return the gain from means of the stage rate and the sensor's rate, shape (3, 3).
 
     It only separates pan from tilt, for shifts of milliseconds; 1 % is enough.
     """
@@ -197,7 +197,7 @@ def _approximate_gain(session: ObservedSession, rates: FloatArray) -> FloatArray
     stage, sensor = stage - stage.mean(axis=0), sensor - sensor.mean(axis=0)
     moments = stage.T @ stage
     weak = np.trace(moments) * 1e-6 + 1e-12
-    # A direction without motion keeps the gain 1.
+    # Without motion in a direction, the gain in this direction is 1.
     return np.asarray(
         np.linalg.solve(moments + weak * np.eye(3), stage.T @ sensor + weak * np.eye(3)).T
     )

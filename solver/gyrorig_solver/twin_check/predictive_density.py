@@ -5,10 +5,10 @@ The prediction of one draw is its noise-free rate f. The measured rate is
     y = f + sum_k d_k df/ds_k + b + noise
 
 with unknown errors d_k of the start of each move and an unknown offset b of the bias since the
-simulation's power-up. Both are Gaussian, d_k with the uncertainty of the position replies and b
-with the scatter of the simulated sessions, and are integrated out. The noise has the density of
-the simulation's own noise, which is estimated from simulated minus noise-free rates. In the DCT it
-is diagonal, see `estimate.noise.noise_model`. The unknowns add a matrix of low rank.
+simulation's power-up. Both are Gaussian: d_k with the uncertainty of the position replies, b with
+the scatter of the simulated sessions. They are integrated out. The noise has the density of the
+simulation's noise, which is estimated from simulated minus noise-free rates. In the DCT it is
+diagonal, see `estimate.noise.noise_model`. The unknowns add a matrix of low rank.
 
 The predictive density is the mean over the draws: log p(y) = log mean exp(log p(y | draw)).
 
@@ -35,7 +35,7 @@ from gyrorig_solver.twin_check.predicted_rates import SimulatedRates
 
 MIN_START_STD_S = 5e-6  # the poll fit states the scatter of the replies only
 OFFSETS = 3  # the last unknowns, one per axis
-FREE_OFFSET_FACTOR = 30.0  # of their deviation, where they are removed instead of predicted
+FREE_OFFSET_FACTOR = 30.0  # of their standard deviation, if they are removed instead of predicted
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -95,7 +95,7 @@ class RateDensity:
     def residual(self, predicted_rad_s: FloatArray) -> FloatArray:
         """Return measured minus predicted rates without the fitted unknowns, shape (n, 3).
 
-        The offsets are removed whatever their size is. `offsets_rad_s` returns them.
+        The offsets are removed regardless of their size. `offsets_rad_s` returns them.
         """
         residual = self._residual(predicted_rad_s)
         fitted = np.tensordot(self._fit_unknowns(residual), self._columns, axes=1).T
@@ -133,7 +133,7 @@ class RateDensity:
 
 
 def noise_log_density(noise_rad_s: FloatArray, noise: SimulatedNoise) -> float:
-    """Return the log density of pure noise (n, 3) under its own model, nats."""
+    """Return the log density of pure noise (n, 3) under the model of this noise, nats."""
     variance = noise.model.dct_variance(noise_rad_s.shape[0])
     variance[0] += noise.bias_std_rad_s**2 * noise_rad_s.shape[0]
     spectrum = dct(noise_rad_s, axis=0, norm="ortho")

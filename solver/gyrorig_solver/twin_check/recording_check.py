@@ -27,19 +27,19 @@ from gyrorig_solver.twin_check.predictive_density import (
 from gyrorig_solver.twin_check.session_features import session_features
 from gyrorig_solver.twin_check.simulation import SimulatedRun
 
-MIN_POSSIBLE_SIGMA = 5.0  # smallest distance to the ceiling of which a share is stated
+MIN_POSSIBLE_SIGMA = 5.0  # smallest distance to the ceiling for which a share is stated
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StageCheck:
-    """The measurement against one simulation."""
+    """The comparison of the measurement with one simulation."""
 
     nats_per_s: float  # log predictive density of the measured rates
     draws_nats_per_s: FloatArray  # the same for each simulated session under the other draws
-    ceiling_nats_per_s: float  # of the simulation's own noise alone
+    ceiling_nats_per_s: float  # of the simulation's noise alone
     ceiling_std_nats_per_s: float  # scatter of the same between sessions
     nats_by_draw: FloatArray  # log density of the measured rates under each draw, nats
-    density_p_value: float  # that a simulated session is predicted worse
+    density_p_value: float  # probability that a simulated session is predicted worse
     comparisons: tuple[FamilyComparison, ...]
     predicted_rad_s: FloatArray  # noise-free rates of the best draw, (n, 3)
     residual_rad_s: FloatArray  # (n, 3), measured minus predicted, unknowns fitted
@@ -61,7 +61,7 @@ class BoardCheck:
 
     @property
     def calibration_gain_nats_per_s(self) -> float:
-        """Part of the gain that the twin has without its causes."""
+        """Part of the gain that the twin also has without its causes."""
         return self.gain_nats_per_s - self.cause_gain_nats_per_s
 
     @property
@@ -69,7 +69,7 @@ class BoardCheck:
         """Part of the gain that the causes add, 0 without causes."""
         if self.without_causes is None:
             return 0.0
-        # With fewer draws a mean over draws is lower, so both sides have the same number.
+        # The mean over fewer draws is lower, so both sides have the same number of draws.
         count = min(self.without_causes.nats_by_draw.size, self.after.nats_by_draw.size)
         after, without = (
             log_mean_exp(stage.nats_by_draw[:count]) for stage in (self.after, self.without_causes)
@@ -80,8 +80,8 @@ class BoardCheck:
     def cause_share(self) -> tuple[float, float] | None:
         """Share of the distance from the twin without causes to the ceiling, and its scatter.
 
-        The scatter comes from the ceiling: the noise of one session is not that of another. None
-        without causes, or if this scatter hides the distance.
+        The scatter comes from the ceiling, because the noise differs between sessions. None without
+        causes, or if this scatter hides the distance.
         """
         if self.without_causes is None:
             return None

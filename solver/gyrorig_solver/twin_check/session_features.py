@@ -28,9 +28,9 @@ MOVING_RAD_S = 0.003
 ALLAN_S = (0.1, 0.3, 1.0, 3.0, 10.0, 30.0)
 SPECTRUM_BINS, LOWEST_HZ = 12, 0.03
 QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95, 0.99)
-STALL_FACTOR = 15.0  # times the usual excess; later samples waited for a stall of the host
-SAME_STALL_S = 0.02  # after a stall, all frames that waited arrive within this time
-CLOCK_S = (1.0, 3.0, 10.0)  # steps of the clock's innovation
+STALL_FACTOR = 15.0  # times the usual excess; a later sample waited for a stall of the host
+SAME_STALL_S = 0.02  # after a stall, all waiting frames arrive within this time
+CLOCK_S = (1.0, 3.0, 10.0)  # time steps of the clock's innovation
 SENSOR_AXES = "xyz"
 
 
@@ -39,7 +39,7 @@ class Family:
     """Features of one kind."""
 
     key: str
-    title: str  # what is compared, in plain words
+    title: str  # subject of the comparison, in plain words
     unit: str  # of the values as shown
     covariate: str  # label of the x-axis of a figure
     x: FloatArray  # (m,), covariate of each feature
@@ -63,8 +63,8 @@ def session_features(
         density: the noise of the simulation, which weights the residual.
         residual_rad_s: measured minus predicted rate, shape (n, 3).
         offset_rad_s: the mean that was removed from it, shape (3,).
-        limits: of the covariates; limits that are missing are added, so that all recordings that
-            are compared have the same bins.
+        limits: of the covariates; missing limits are added, so that all compared recordings have
+            the same bins.
     """
     families = [
         _bias_family(offset_rad_s),

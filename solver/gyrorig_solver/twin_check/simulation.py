@@ -3,8 +3,8 @@
 The solver never imports the daemon. A run gives a recording, like that of a real rig, and the
 noise-free rates of its sensors, which no real rig can give.
 
-One process runs several draws one after the other, because its start takes about as long as the
-emulation of a minute. There is one process per core at a time.
+One process runs several draws in sequence, because its start takes about as long as the emulation
+of a minute. There is one process per core at a time.
 
 What to use when: `Simulator` for a rig file; `run_draws` for several draws at the same time.
 """
@@ -29,7 +29,7 @@ from gyrorig_protocol.recording.reader import read_recording
 from gyrorig_protocol.recording.recording import Recording
 from gyrorig_solver.data import FloatArray
 
-FIRST_SEED = 1_000_001  # the smallest of the sessions' noise; unlike seeds that people choose
+FIRST_SEED = 1_000_001  # the smallest seed of the sessions' noise; people do not choose such seeds
 RUN_TIMEOUT_S = 600.0  # of one run; a recording of an hour takes about a minute
 MIN_WORKERS, MAX_WORKERS = 2, 8
 _THREAD_VARIABLES = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
@@ -65,15 +65,15 @@ def run_draws(
     folder: Path,
     on_run: Callable[[], None],
 ) -> Iterator[SimulatedRun]:
-    """Replay the orders of a recording once per draw, and yield the runs in order.
+    """Replay the commands of a recording once per draw, and yield the runs in order.
 
-    Each draw has its own parameters from the posterior and its own noise. Both follow from the
+    Each draw has separate parameters from the posterior and separate noise. Both follow from the
     checksum of the measured rates, because the p-values of different recordings would otherwise
     depend on the same simulated noise.
 
     Args:
         simulator: the emulated rig.
-        measured: the recording with the orders.
+        measured: the recording with the commands.
         draws: numbers of the draws. 0 has the best parameters.
         folder: for the files of the runs.
         on_run: called after each run, by one thread at a time.
@@ -110,7 +110,8 @@ def split_draws(draws: range, count: int, is_twin: bool) -> list[range]:
     Args:
         draws: consecutive numbers.
         count: number of processes at the same time.
-        is_twin: draw 0 has the best parameters, so it is alone: a process cannot go on from it.
+        is_twin: draw 0 has the best parameters, so it gets a separate process, which cannot
+            continue from it.
     """
     first = [draws[:1]] if is_twin and draws[:1] == range(1) else []
     rest = draws[len(first) :]

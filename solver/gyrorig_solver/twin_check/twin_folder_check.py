@@ -154,7 +154,7 @@ def calibrated_rig_text(text: bytes, path: Path) -> str:
 
 
 def _is_of_cause(name: str) -> bool:
-    """Return whether a name of the posterior means a value of a cause."""
+    """Return whether a name of the posterior is that of a value of a cause."""
     return name.startswith("causes.")
 
 

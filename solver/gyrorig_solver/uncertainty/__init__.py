@@ -1,9 +1,9 @@
-"""The type B uncertainty of a calibration: causes that were not identified.
+"""Type B uncertainty of a calibration: the part from causes that the fit did not identify.
 
-What to use when: `uncertainty_budget.assess_uncertainty` at a fit to a motion, `assess_space` at
-one to reference attitudes; `uncertainty_settings` for the
-prior sizes of the causes and the limits of the verdict; `marginal_covariance` for the algebra of
-the total, `mixture_interval` for that of the intervals.
+What to use when: `uncertainty_budget.assess_uncertainty` for a fit to a motion, `assess_space` for
+a fit to reference attitudes; `uncertainty_settings` for the prior sizes of the causes and the
+limits of the verdict; `marginal_covariance` for the algebra of the total uncertainty,
+`mixture_interval` for that of the intervals.
 """
 
 from gyrorig_solver.uncertainty.uncertainty_budget import (

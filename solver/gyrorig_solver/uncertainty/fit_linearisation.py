@@ -1,6 +1,6 @@
-"""A fit as a linear model of the sizes of causes, those left out and the fitted persistent ones.
+"""A fit as a linear model of cause sizes: those left out and the fitted persistent ones.
 
-What to use when: `linearise_fit` at a fit, for `unit_marginals`.
+What to use when: `linearise_fit` turns a fit into the input of `unit_marginals`.
 """
 
 from collections.abc import Sequence
@@ -30,17 +30,19 @@ from gyrorig_solver.uncertainty.unit_values import (
 class FitLinearisation:
     """A fit as a linear model of the sizes of causes.
 
-    Sizes that were left out are in units of their table's prior, fitted ones in SI.
+    Sizes that the fit left out are in units of their prior from the table, fitted sizes in SI.
     """
 
     information: FloatArray  # (c, c), F, of the sizes that were left out
     score: FloatArray  # (c,), s
     influence: FloatArray  # (c, q), A: change of the fit's parameters by each of these sizes
     covariance: FloatArray  # (q, q), of the fit's parameters, from noise
-    prior_covariance: FloatArray  # (q, q), of the prior along what the data do not show
+    # (q, q), of the prior in the directions that the data do not determine
+    prior_covariance: FloatArray
     fitted: IntArray  # (f,), positions of the fitted persistent sizes among the q parameters
     fitted_values: FloatArray  # (f,)
-    unit_position: IntArray  # (c + f,), among the unit's sizes; -1 where it is none of them
+    # (c + f,), among the unit's sizes; -1 for a size that is not of the unit
+    unit_position: IntArray
     unit_scale: FloatArray  # (c + f,), SI value of one unit of each size
 
     def data_terms(self) -> tuple[FloatArray, FloatArray]:
@@ -86,7 +88,7 @@ def linearise_fit(
 
     Args:
         solution: the fit.
-        settings: prior sizes; a fitted cause without one counts as not persistent.
+        settings: prior sizes; a fitted cause without a prior size counts as not persistent.
         causes: those that the fit left out.
         statistics: their information and score at the fit.
     """
@@ -128,10 +130,10 @@ def linearise_fit(
 
 
 def sizes_of_signals(causes: Sequence[UnidentifiedCause]) -> tuple[list[int], list[float]]:
-    """Return of each signal its position among the unit's sizes, -1 for none, and its scale.
+    """Return the position of each signal among the unit's sizes, -1 for none, and its scale.
 
     Args:
-        causes: those that a fit left out.
+        causes: those that the fit left out.
     """
     positions, scales = [], []
     for cause in causes:

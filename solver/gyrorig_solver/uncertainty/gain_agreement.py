@@ -1,13 +1,14 @@
-"""Whether two recordings of one board can have one gain.
+"""Test whether two recordings of one board can have the same gain.
 
-Each recording is fitted alone. The difference of two gains is compared with its uncertainty: that
-of noise, that of causes that the recordings cannot exclude, and that of the scale factors between
-two temperatures. Bias and time offset can change between recordings, so they are not compared.
+Each recording is fitted alone. The solver compares the difference of two gains with its standard
+uncertainty. This uncertainty contains the noise, the causes that the recordings cannot exclude, and
+the change of the scale factors between two temperatures. Bias and time offset can change between
+recordings, so they are not compared.
 
 What to use when: `GainEstimate.of` for the fit of one recording, `compare_gains` for several.
 
-Source: the normalised error of two results, JCGM 100:2008 and ISO 13528, for nine parameters at a
-time: a chi-squared test of their difference.
+Source: the normalised error of two results, JCGM 100:2008 and ISO 13528, extended to nine
+parameters: a chi-squared test of their difference.
 """
 
 from collections.abc import Sequence
@@ -26,9 +27,10 @@ from gyrorig_solver.numerics import chi2_upper_tail, score_statistic
 from gyrorig_solver.uncertainty.uncertainty_budget import UncertaintyBudget, assess_uncertainty
 from gyrorig_solver.uncertainty.uncertainty_settings import default_settings
 
-MIN_AGREEMENT_P = 1e-6  # of a pair of recordings, divided by the number of pairs
+MIN_AGREEMENT_P = 1e-6  # p-value of a pair of recordings, divided by the number of pairs
 SCALES = slice(0, 3)  # of the parameters
-MIN_RELATIVE_VARIANCE = 1e-9  # of the correlation matrix: a direction with less is not compared
+# of the correlation matrix; directions with less variance are not compared
+MIN_RELATIVE_VARIANCE = 1e-9
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -38,7 +40,7 @@ class GainEstimate:
     name: str  # of the recording
     values: FloatArray  # (9,)
     covariance: FloatArray  # (9, 9)
-    is_known: BoolArray  # (9,), False where the data do not determine it
+    is_known: BoolArray  # (9,), False if the data do not determine the parameter
     temperature_degc: float = float("nan")  # mean of the recording
 
     @classmethod
@@ -81,7 +83,7 @@ class GainDisagreement:
     unit: str
     sigma: float  # standard uncertainties of the difference
     p_value: float  # of all parameters
-    degrees: int  # how many were compared
+    degrees: int  # number of compared directions
 
 
 def compare_gains(estimates: Sequence[GainEstimate]) -> GainDisagreement | None:
@@ -101,7 +103,7 @@ def compare_gains(estimates: Sequence[GainEstimate]) -> GainDisagreement | None:
 
 
 def _compare_pair(first: GainEstimate, second: GainEstimate) -> GainDisagreement | None:
-    """Compare what both recordings determine; None if there is nothing."""
+    """Compare the parameters that both recordings determine; None if there are none."""
     known = np.flatnonzero(first.is_known & second.is_known)
     if not known.size:
         return None
@@ -126,14 +128,14 @@ def _compare_pair(first: GainEstimate, second: GainEstimate) -> GainDisagreement
 
 
 def _cause_covariance(budget: UncertaintyBudget) -> FloatArray:
-    """Return the type B covariance; an expected error is not corrected, so its square counts."""
+    """Return the type B covariance; the expected error is not corrected, so its square counts."""
     return np.asarray(
         budget.covariance + np.outer(budget.expected_error, budget.expected_error), np.float64
     )
 
 
 def _temperature_covariance(first: GainEstimate, second: GainEstimate) -> FloatArray:
-    """Return the covariance that scale factors have at two temperatures, (9, 9)."""
+    """Return the covariance from the change of scale factors between two temperatures, (9, 9)."""
     covariance = np.zeros((GAIN_PARAMETERS, GAIN_PARAMETERS))
     change_degc = second.temperature_degc - first.temperature_degc
     if np.isfinite(change_degc):

@@ -1,4 +1,4 @@
-"""Covariance of parameters when causes with a prior size are fitted beside them.
+"""Covariance of parameters that are fitted together with causes of a prior size.
 
 The model is y = J p + B c + noise, with p the fitted parameters and c the sizes of causes in units
 of their prior standard deviations, c ~ N(0, 1). The fit left c out. With F the information on c and
@@ -8,9 +8,10 @@ s its score, both orthogonal to J, and A the change of p per unit of c that the 
     covariance of p                 C_p + A' C A
 
 This is the covariance of p in a ridge fit of [J, B] with the prior on c. A cause that the data
-exclude has a large F and adds next to nothing; one that they cannot show has F = 0 and adds its
-prior. The fit that left c out is off by A' m on average. Its mean squared error given the data is
-therefore C_p + A' C A + (A' m)(A' m)': a correction that is known and not applied adds its square.
+exclude has a large F and adds almost nothing. A cause that the data cannot show has F = 0 and adds
+its prior. The fit that left c out is wrong by A' m on average. Its mean squared error given the
+data is therefore C_p + A' C A + (A' m)(A' m)': a known correction that is not applied adds its
+square.
 
 Sources: JCGM 100:2008, 4.3 and F.2.4.5; Schmidt, Advances in Control Systems 3 (1966) 293.
 """
@@ -25,7 +26,7 @@ from gyrorig_solver.data import FloatArray, IntArray
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MarginalCauses:
-    """The posterior of the sizes of k causes, and what they add to q parameters."""
+    """The posterior of the sizes of k causes, and their contribution to q parameters."""
 
     covariance: FloatArray  # (k, k), of the sizes in units of their prior
     mean: FloatArray  # (k,), in the same units
@@ -36,23 +37,23 @@ class MarginalCauses:
         """Combine the information of the data with the priors.
 
         Args:
-            information: on the sizes, all fitted parameters eliminated, (k, k).
-            score: of the residual, the same way, (k,).
+            information: on the sizes, with all fitted parameters eliminated, (k, k).
+            score: of the residual, with all fitted parameters eliminated, (k,).
             influence: see the class.
         """
         values, vectors = np.linalg.eigh(0.5 * (information + information.T))
-        # Rounding leaves a little below zero where the fit takes an effect for its own.
+        # Rounding makes an eigenvalue slightly negative if the fit absorbs an effect completely.
         covariance = (vectors / (1.0 + np.clip(values, 0.0, None))) @ vectors.T
         return cls(covariance, covariance @ score, influence)
 
     @property
     def parameter_covariance(self) -> FloatArray:
-        """What the sizes that the data leave open add to the parameters' covariance, (q, q)."""
+        """Contribution of the sizes, which the data leave uncertain, to the covariance, (q, q)."""
         return np.asarray(self.influence.T @ self.covariance @ self.influence, dtype=np.float64)
 
     @property
     def expected_error(self) -> FloatArray:
-        """The error of a fit without the causes that the data let expect, (q,)."""
+        """Expected error, given the data, of a fit without the causes, (q,)."""
         return np.asarray(self.mean @ self.influence, dtype=np.float64)
 
     def mean_square_without(self, group: IntArray) -> FloatArray:

@@ -11,10 +11,10 @@ so the error is a mixture of normal distributions. The interval is symmetric abo
 If every cause is certain, p = 1, the mixture is one normal distribution.
 
 The sum over configurations starts without causes. It adds and removes one cause at a time, the most
-probable configuration first. Causes of which the data show nothing stay independent.
+probable configuration first. Causes without information in the data stay independent.
 
-What to use when: `error_mixture` for the distribution; `ErrorMixture.expanded_uncertainty`
-for an interval.
+What to use when: `error_mixture` for the distribution; `ErrorMixture.expanded_uncertainty` for an
+interval.
 
 Sources: JCGM 101:2008, 5.3 and 7.7 (interval of a distribution that is not normal); Madigan and
 Raftery, J. Am. Stat. Assoc. 89 (1994) 1535 (sum over the most probable models).
@@ -29,11 +29,11 @@ from scipy.special import ndtr
 from gyrorig_solver.data import BoolArray, FloatArray, IntArray
 from gyrorig_solver.numerics import positive_part, posterior_covariance
 
-# Of the most probable configuration's probability: smaller ones are not followed, or not counted.
+# Relative to the most probable configuration: less probable ones are not followed, or not counted.
 FOLLOWED_SHARE, COUNTED_SHARE = 1e-2, 1e-5
 MAX_FOLLOWED = 32  # configurations
 UNSEEN_INFORMATION = 0.01  # of a cause's sizes; the data leave 99 % of the prior variance
-MAX_UNSEEN = 8  # causes with a part of their own; the others add their variance
+MAX_UNSEEN = 8  # causes with a separate component of the mixture; the others add their variance
 NEGLIGIBLE_SHARE = 1e-6  # of a variance, and of the probability
 BISECTIONS = 40  # to 1e-11 of the first bracket
 BRACKET_STD = 9.0
@@ -41,7 +41,7 @@ BRACKET_STD = 9.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class UncertainSizes:
-    """What the data show of the sizes of causes, and what the sizes do to q parameters.
+    """Information of the data on the sizes of causes, and the effect of the sizes on q parameters.
 
     The sizes of a cause that may be absent are in units of their standard deviation if present.
     """
@@ -120,7 +120,7 @@ def error_mixture(sizes: UncertainSizes) -> ErrorMixture:
 def _split_certain(
     sizes: UncertainSizes, is_certain: BoolArray
 ) -> tuple[ErrorMixture, UncertainSizes]:
-    """Return the error by the certain causes, and the other sizes with these marginalised."""
+    """Return the error from the certain causes, and the other sizes with these marginalised."""
     certain, rest = np.flatnonzero(is_certain), np.flatnonzero(~is_certain)
     prior = sizes.prior_covariance[np.ix_(certain, certain)]
     information = positive_part(sizes.information)
@@ -149,10 +149,10 @@ def _with_unseen(
     causes: list[IntArray],
     probability: FloatArray,
 ) -> ErrorMixture:
-    """Return the mixture with causes of which the data show nothing.
+    """Return the mixture with the causes about which the data contain no information.
 
-    The causes with the largest shares of a variance have a part of their own. The others add their
-    variance: a sum of many is nearly normal.
+    The causes with the largest shares of a variance get a separate component. The others add their
+    variance, because a sum of many causes is nearly normal.
     """
     if not causes:
         return mixture
@@ -180,7 +180,7 @@ class _ConfigurationError:
 
 
 class _Configurations:
-    """The probable configurations of causes of which the data show something."""
+    """The probable configurations of the causes about which the data contain information."""
 
     def __init__(
         self, sizes: UncertainSizes, causes: list[IntArray], probability: FloatArray
@@ -195,13 +195,13 @@ class _Configurations:
         count, parameters = sizes.influence.shape
         self._causes = causes
         self._log_odds = np.log(probability) - np.log1p(-probability)
-        # One more size, without information and influence, fills up causes with fewer sizes.
+        # A dummy size, without information and influence, pads the causes that have fewer sizes.
         self._index = np.full((len(causes), max(group.size for group in causes)), count)
         for row, group in zip(self._index, causes, strict=True):
             row[: group.size] = group
         self._information = np.zeros((count + 1, count + 1))
         self._information[:count, :count] = sizes.information
-        # Score and influence stand side by side: both are reduced in the same way.
+        # Score and influence are columns of one array, because both are reduced in the same way.
         self._targets = np.zeros((count + 1, 1 + parameters))
         self._targets[:count, 0], self._targets[:count, 1:] = sizes.score, sizes.influence
         self._errors: dict[frozenset[int], _ConfigurationError] = {}

@@ -4,13 +4,13 @@ A cause is represented by signals whose amplitudes are independent with mean zer
 Together they have the covariance of the cause's effect under its prior:
 
 - each size (axis, cosine, sine) is one signal;
-- a cause with a shape or a time that is not known, such as a time constant or the instant of a
-  step, is represented by several of its templates with equal shares of the variance;
+- a cause with an unknown shape or time, such as a time constant or the instant of a step, is
+  represented by several of its templates with equal shares of the variance;
 - a persistent cause of the unit is represented by the start values of its shapes, because its
   sizes must mean the same in every recording;
 - a nonlinear cause (dead band, backlash) is represented by its effect at the prior size.
 
-What to use when: `unidentified_causes` at a projector; `whitened_effects` for their signals.
+What to use when: `unidentified_causes` for a projector; `whitened_effects` for their signals.
 """
 
 from collections.abc import Mapping, Sequence
@@ -34,7 +34,7 @@ from gyrorig_solver.model import (
 from gyrorig_solver.model.catalogue import catalogue
 from gyrorig_solver.uncertainty.uncertainty_settings import PriorSize, UncertaintySettings
 
-# Templates that represent one cause: of its times, and of its other shapes.
+# Number of templates that represent a cause with unknown times, or with other unknown shapes.
 EVENT_TEMPLATES, SHAPE_TEMPLATES = 3, 2
 
 
@@ -50,7 +50,7 @@ class UnidentifiedCause:
 
     @property
     def places(self) -> tuple[str | None, ...]:
-        """The place of each signal: x, y, z, pan, tilt; None where it has none."""
+        """The place of each signal: x, y, z, pan, tilt; None if it has no place."""
         sizes = value_indices(self.term, role="size")
         parts = components_of(self.term)
         places = []
@@ -116,7 +116,8 @@ def _scaled_effects(cause: UnidentifiedCause, state: SignalState) -> FloatArray:
 def _instances(term: Term, projector: NuisanceProjector) -> list[Term]:
     """Return a cause once per recording that can have it.
 
-    A gauge cause acts, but never shows. A brief cause acts, but means of a long recording hide it.
+    A gauge cause acts although the data never show it. A brief cause acts although the averaging of
+    a long recording hides it.
     """
     if term.kind == "gauge":
         return [term] if all(state.has_angles for state in projector.states) else []

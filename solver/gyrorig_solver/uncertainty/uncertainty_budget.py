@@ -1,4 +1,4 @@
-"""The uncertainty budget of a fit: what the causes that it has not identified may add."""
+"""Uncertainty budget of a fit: the contributions of causes that the fit has not identified."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -42,12 +42,12 @@ from gyrorig_solver.uncertainty.unit_values import (
     unit_value_names,
 )
 
-MAX_JOINT_VALUES = 40_000_000  # of effects that are held at a time, 320 MB
+MAX_JOINT_VALUES = 40_000_000  # of effects in memory at a time, 320 MB
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BudgetEntry:
-    """What one cause at one place contributes to each parameter, SI."""
+    """Contribution of one cause at one place to each parameter, SI."""
 
     term: Term
     place: str | None
@@ -66,7 +66,7 @@ class BudgetEntry:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OtherEntry:
-    """What contributes to each parameter and is no cause of the catalogue, SI."""
+    """Contribution to each parameter that is not from a cause of the catalogue, SI."""
 
     cause: str  # the id in the budget
     std: FloatArray  # (p,)
@@ -79,12 +79,13 @@ class UncertaintyBudget:
     """The type B uncertainty of the parameters `CALIBRATION_PARAMETERS`, SI."""
 
     covariance: FloatArray  # (p, p), of the causes given the data
-    expected_error: FloatArray  # (p,), of the stated values, as far as the data show causes
+    # (p,), of the stated values, from causes as far as the data show them
+    expected_error: FloatArray
     entries: tuple[BudgetEntry | OtherEntry, ...]
     settings: UncertaintySettings
-    corrections: tuple[FitCorrection, ...] = ()  # of each recording, by what the unit is known for
-    unit_information: UnitInformation | None = None  # what the recordings show of the unit
-    mixture: ErrorMixture | None = None  # of the errors by causes; None where all are normal
+    corrections: tuple[FitCorrection, ...] = ()  # of each recording, by the unit's posterior
+    unit_information: UnitInformation | None = None  # of the recordings on the unit's sizes
+    mixture: ErrorMixture | None = None  # of the errors by causes; None if all are normal
 
     @property
     def std(self) -> FloatArray:
@@ -95,7 +96,7 @@ class UncertaintyBudget:
         return np.sqrt(np.clip(np.diag(self.covariance), 0.0, None) + self.expected_error**2)
 
     def widened(self, entry: OtherEntry) -> "UncertaintyBudget":
-        """Return the budget with one more contribution, which no other one contains."""
+        """Return the budget with one more contribution that the others do not contain."""
         mixture = self.mixture
         if mixture is not None:
             mixture = replace(mixture, variance=mixture.variance + entry.std**2)
@@ -107,7 +108,7 @@ class UncertaintyBudget:
         )
 
     def expanded_uncertainty(self, noise_std: FloatArray, probability: float) -> FloatArray:
-        """Return U of each parameter, (p,): the true value is in the stated value ± U.
+        """Return U of each parameter, (p,): stated value ± U contains the true value.
 
         Args:
             noise_std: type A standard uncertainty, (p,); NaN gives NaN.
@@ -125,13 +126,13 @@ def assess_uncertainty(
     projector: NuisanceProjector | None = None,
     unit_prior: UnitPosterior | None = None,
 ) -> UncertaintyBudget:
-    """Return what the causes that a fit has not identified add to its uncertainty.
+    """Return the uncertainty that the causes a fit has not identified add to it.
 
     Args:
         solution: the fit, with the causes that were identified.
         settings: prior sizes; by default the shipped ones.
         projector: at this fit, if there is one already.
-        unit_prior: what other recordings have shown of the unit. The budget is then that of the
+        unit_prior: what other recordings have shown of the unit. With it, the budget is that of the
             corrected values; see `corrections`.
     """
     settings = default_settings() if settings is None else settings
@@ -144,7 +145,7 @@ def assess_uncertainty(
 def assess_space(
     space: AttitudeFitSpace, settings: UncertaintySettings | None = None
 ) -> UncertaintyBudget:
-    """Return what the causes that a fit to reference attitudes has not identified add to it.
+    """Return what the unidentified causes add to the uncertainty of a fit to reference attitudes.
 
     Args:
         space: the fit, with the causes that were identified.
@@ -167,7 +168,7 @@ def _assess_causes(
     projector: NuisanceProjector,
     unit_prior: UnitPosterior | None,
 ) -> UncertaintyBudget:
-    """Return what the causes that a fit has not identified add."""
+    """Return the uncertainty that the causes a fit has not identified add to it."""
     size = len(CALIBRATION_PARAMETERS)
     if not causes:
         return UncertaintyBudget(np.zeros((size, size)), np.zeros(size), (), settings)
@@ -192,7 +193,7 @@ def _budget_by_data(
     settings: UncertaintySettings,
     fit: FitLinearisation | None = None,
 ) -> UncertaintyBudget:
-    """Return the budget of values that no knowledge of the unit has corrected.
+    """Return the budget of values that are not corrected by the unit's posterior.
 
     Args:
         calibration: the stated values.
@@ -200,8 +201,8 @@ def _budget_by_data(
         statistics: of the causes at the fit.
         causes: those that were not identified.
         settings: prior sizes.
-        fit: the last one of the linearised fits, if there are any; else `statistics` has the
-            information of the data.
+        fit: the last one of the linearised fits; without it, `statistics` has the information of
+            the data.
     """
     influence = np.stack(
         [
@@ -221,7 +222,7 @@ def _budget_by_data(
 
 
 def _with_offset_ambiguity(budget: UncertaintyBudget, solution: ConvergedFit) -> UncertaintyBudget:
-    """Add what the identified causes leave open of the time offset of a later recording."""
+    """Add the ambiguity of a later recording's time offset that identified causes leave."""
     covariance, entries = budget.covariance.copy(), list(budget.entries)
     index = CALIBRATION_PARAMETERS.index("time_offset")
     for fitted_term in solution.fitted_terms:
@@ -342,11 +343,12 @@ def _corrected_budget(
 def _joint_statistics(
     projector: NuisanceProjector, causes: Sequence[UnidentifiedCause]
 ) -> ScoreStatistics:
-    """Return information and score of all causes, their similarity included.
+    """Return information and score of all causes, with the similarity between causes.
 
-    A long recording holds two batches of effects at a time and evaluates them again for each pair.
-    A sum over batches without the pairs would be too small: causes that resemble each other, such
-    as axes that are not perpendicular and a board that slipped, would seem determined.
+    For a long recording, two batches of effects are in memory at a time, and the effects are
+    evaluated again for each pair. A sum over batches without the pairs would give too small an
+    uncertainty: causes that resemble each other, such as axes that are not perpendicular and a
+    board that slipped, would seem determined.
     """
     max_signals = max(1, MAX_JOINT_VALUES // projector.residual.size)
     if sum(cause.signal_count for cause in causes) <= max_signals:

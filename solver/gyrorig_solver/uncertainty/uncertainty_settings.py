@@ -49,9 +49,9 @@ class LimitEntry(_DocumentPart, frozen=True):
 
 
 class DriftEntry(_DocumentPart, frozen=True):
-    """How much each size of a persistent cause may change in a day, one standard deviation.
+    """Change of each size of a persistent cause within a day, one standard deviation.
 
-    The change over n days is this times the square root of n.
+    The change over n days is this value times the square root of n.
     """
 
     std: NonNegative
@@ -73,12 +73,12 @@ class SettingsDocument(_DocumentPart, frozen=True):
 class PriorSize:
     """The prior of one cause: each of its sizes has mean zero and this standard deviation."""
 
-    size: float  # SI, standard deviation where the cause is present
+    size: float  # SI, standard deviation if the cause is present
     probability: float  # that it is present
 
     @property
     def std(self) -> float:
-        """Root of the second moment of a size that is zero where the cause is absent, SI."""
+        """Root of the second moment of a size that is zero if the cause is absent, SI."""
         return float(self.size * self.probability**0.5)
 
 
@@ -88,7 +88,7 @@ class UncertaintySettings:
 
     prior_sizes: Mapping[str, PriorSize]
     limits: Mapping[str, float]
-    drifts: Mapping[str, float] = field(default_factory=dict)  # of persistent causes, in a day
+    drifts: Mapping[str, float] = field(default_factory=dict)  # of persistent causes, per day
 
     @property
     def sha256(self) -> str:
@@ -110,14 +110,14 @@ def default_settings() -> UncertaintySettings:
 
 
 def parse_settings(text: str | bytes, name: str) -> UncertaintySettings:
-    """Return the shipped settings with the entries of a user's document in place of theirs.
+    """Return the shipped settings; entries of a user's document replace theirs.
 
     Args:
         text: the YAML document.
         name: the document's name in an error, usually its file name.
 
     Raises:
-        UsageError: it is no such document, or names an unknown cause, parameter or unit.
+        UsageError: it is not such a document, or names an unknown cause, parameter or unit.
     """
     return _with_document(default_settings(), text, name)
 
@@ -126,7 +126,7 @@ def read_settings(path: Path) -> UncertaintySettings:
     """Return the settings of a user's file; see `parse_settings`.
 
     Raises:
-        UsageError: the file cannot be read, or it is no such document.
+        UsageError: the file cannot be read, or it is not such a document.
     """
     try:
         return parse_settings(path.read_bytes(), str(path))
@@ -193,12 +193,12 @@ def _read_drifts(document: SettingsDocument, name: str) -> dict[str, float]:
 
 
 def _size_unit(term: Term) -> str:
-    """Return the SI unit of a cause's sizes; all sizes of a cause have the same."""
+    """Return the SI unit of a cause's sizes; all sizes of a cause have the same unit."""
     return next(parameter.unit for parameter in term.parameters if parameter.role == "size")
 
 
 def _factor(name: str, place: str, unit: str, si_unit: str) -> float:
-    """Return the factor from a written unit to SI: the SI unit itself, or the one that is shown."""
+    """Return the factor from a written unit, either the SI unit or the displayed one, to SI."""
     shown_factor, shown_unit = display_unit(si_unit)
     if unit == si_unit:
         return 1.0

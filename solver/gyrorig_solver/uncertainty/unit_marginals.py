@@ -1,4 +1,4 @@
-"""A fit combined with what earlier recordings have shown of the unit.
+"""A fit combined with the posterior that earlier recordings gave for the unit.
 
 The unknowns are the sizes of the causes that the fit left out, c, and the fitted sizes of
 persistent causes, f. The fit gives f_hat = f + A_f' c + noise with covariance C_f, and, orthogonal
@@ -8,10 +8,10 @@ The fit's parameters depend on it linearly:
 
     p = p_hat - A' c + K (f - f_hat + A_f' c),     K = cov(p_hat, f_hat) C_f^-1
 
-The stated values are corrected by the persistent sizes only: see decision 0044 for the others.
+The stated values are corrected by the persistent sizes only; decision 0044 gives the reason.
 
-What to use when: `UnitMarginals.of` for the combination; `unit_information` for what the recording
-adds to the unit's posterior.
+What to use when: `UnitMarginals.of` for the combination; `unit_information` for the information
+that the recording adds to the unit's posterior.
 
 Source: Schmidt, Advances in Control Systems 3 (1966) 293; JCGM 100:2008, F.2.4.5.
 """
@@ -67,7 +67,7 @@ class UnitMarginals:
 
 
 def unit_information(fit: FitLinearisation, unit_size_count: int) -> UnitInformation:
-    """Return what a fit shows of the unit's sizes, with all other causes marginalised.
+    """Return the information of a fit on the unit's sizes, with all other causes marginalised.
 
     Args:
         fit: the fit.
@@ -91,7 +91,7 @@ def unit_information(fit: FitLinearisation, unit_size_count: int) -> UnitInforma
 
 
 def size_prior(fit: FitLinearisation, prior: UnitPosterior) -> tuple[FloatArray, FloatArray]:
-    """Return covariance and mean of all sizes before the recording, in their units."""
+    """Return covariance and mean of all sizes before the recording, in the units of the fit."""
     unit = np.flatnonzero(fit.unit_position >= 0)
     position, scale = fit.unit_position[unit], fit.unit_scale[unit]
     covariance, mean = np.eye(len(fit.unit_position)), np.zeros(len(fit.unit_position))

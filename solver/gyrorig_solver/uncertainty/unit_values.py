@@ -1,11 +1,11 @@
-"""The sizes of persistent causes: what later recordings on the same unit can reuse.
+"""Sizes of persistent causes: the values that later recordings on the same unit can reuse.
 
-A cause whose card says `is_persistent` is a property of the unit: its axes, its gears, its sag. Its
-sizes, in the order of the catalogue, are one vector for every unit. Shapes are at the start values
+A cause whose card sets `is_persistent` is a property of the unit: its axes, its gears, its sag. Its
+sizes, in the order of the catalogue, form one vector for every unit. Shapes have the start values
 of the card.
 
-What to use when: `unit_value_names` for the names; `table_covariance` for the prior of a unit of
-which nothing is known; `UnitPosterior` for what recordings have shown.
+What to use when: `unit_value_names` for the names; `table_covariance` for the prior of an unknown
+unit; `UnitPosterior` for the result of recordings.
 """
 
 from collections.abc import Sequence
@@ -28,8 +28,8 @@ from gyrorig_solver.model.catalogue import catalogue
 from gyrorig_solver.numerics import posterior_covariance
 from gyrorig_solver.uncertainty.uncertainty_settings import UncertaintySettings
 
-# A fitted shape that is farther from the card's start value describes another effect, such as a
-# worm's error with half the period.
+# A fitted shape that differs more from the card's start value describes another effect, such as a
+# worm error with half the period.
 MAX_SHAPE_CHANGE = 3.0  # in typical sizes of the shape
 
 
@@ -42,7 +42,7 @@ class UnitPosterior:
 
     @classmethod
     def from_table(cls, settings: UncertaintySettings) -> Self:
-        """Return the prior of a unit of which nothing is known."""
+        """Return the prior of an unknown unit."""
         covariance = table_covariance(settings)
         return cls(np.zeros(len(covariance)), covariance)
 
@@ -75,7 +75,7 @@ class UnitPosterior:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class UnitInformation:
-    """What one recording shows of the sizes: the log-likelihood u'v - u'Mu/2, SI."""
+    """Information of one recording on the sizes: log-likelihood u'v - u'Mu/2, SI."""
 
     matrix: FloatArray  # (k, k)
     vector: FloatArray  # (k,)
@@ -117,7 +117,7 @@ def unit_value_limits() -> dict[str, float]:
 
 
 def unit_value_position(term: Term, index: int) -> int | None:
-    """Return the position of a term's value among the sizes; None if it does not persist."""
+    """Return the position of a term's value among the sizes; None if it is not persistent."""
     if not term.is_persistent or recording_index_of(term) is not None:
         return None
     name = value_labels(term)[index]
@@ -127,7 +127,7 @@ def unit_value_position(term: Term, index: int) -> int | None:
 def fitted_unit_values(
     fitted_terms: Sequence[FittedTerm],
 ) -> list[tuple[int, int, float]]:
-    """Return the fitted sizes that persist.
+    """Return the fitted persistent sizes.
 
     Args:
         fitted_terms: of a fit.
@@ -148,7 +148,7 @@ def fitted_unit_values(
 
 
 def table_covariance(settings: UncertaintySettings) -> FloatArray:
-    """Return the covariance (k, k) of the sizes of a unit of which nothing is known."""
+    """Return the covariance (k, k) of the sizes of an unknown unit."""
     std = [
         settings.prior_sizes[value.term.cause].std
         if value.term.cause in settings.prior_sizes
@@ -159,7 +159,7 @@ def table_covariance(settings: UncertaintySettings) -> FloatArray:
 
 
 def _drift_std(settings: UncertaintySettings) -> FloatArray:
-    """Return how much each size may change in a day, one standard deviation, (k,)."""
+    """Return the change of each size within a day, one standard deviation, (k,)."""
     return np.array([settings.drifts.get(value.term.cause, 0.0) for value in _unit_values()])
 
 

@@ -226,7 +226,7 @@ class FaultClassifier:
         return bool(abs(float(lead_s[0])) <= slack_s)
 
     def _counter_continued(self, index: int, host_s: float) -> bool:
-        """Return whether the sample counter continued, whatever the clock did.
+        """Return whether the sample counter continued, for any change of the clock.
 
         It did not advance more than the host time, which a stall can lengthen.
         """

@@ -112,7 +112,7 @@ def map_clock(
 
 
 def _sorted_by_time(x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return both sorted by the first; usually they are sorted already."""
+    """Return both sorted by the first one; usually they are sorted already."""
     if np.all(x[1:] >= x[:-1]):
         return x, y
     order = np.argsort(x, kind="stable")

@@ -1,7 +1,7 @@
 """Decimated time series of a clock map, for figures.
 
-What to use when: `clock_course` for the samples of one board, of any length; the result has at
-most `MAX_POINTS` points.
+What to use when: `trace_clock` for the samples of one board, of any length; the result has at most
+`MAX_POINTS` points.
 """
 
 from dataclasses import dataclass
@@ -31,7 +31,7 @@ def trace_clock(
     """Return the time series of one board's clock, None if there are too few samples.
 
     Args:
-        time_s: when each sample was taken, capture clock, shape (n,).
+        time_s: sampling times, capture clock, shape (n,).
         host_s: its arrival time, shape (n,).
         number: sample count since the segment's first, shape (n,).
         segment: shape (n,), counts up.

@@ -18,7 +18,7 @@ from gyrorig_solver.data.clocks.clock_map import ClockMap
 from gyrorig_solver.data.clocks.lower_envelope import Envelope, hull_line, piecewise_envelope
 
 MIN_PINGS = 10  # fewer exchanges do not bound the latency well
-MIN_PINGS_FOR_HULLS = 300  # from here on the hulls contained the truth in all simulations
+MIN_PINGS_FOR_HULLS = 300  # from this number on, the hulls contained the truth in all simulations
 MAX_LINE_SPAN_S = 120.0
 KNOT_SPACING_S = 60.0  # 300 exchanges at five per second
 WALK_PER_SQRT_S = 1e-8  # assumed, of a crystal's rate

@@ -25,8 +25,8 @@ from gyrorig_solver.data.clocks.lower_envelope import Envelope, hull_line, piece
 MAX_LINE_SPAN_S = 120.0
 # Limits of the knot spacing, which is proportional to T* of docs/clocks.md.
 KNOT_SPACING_RANGE_S = (2.0, 30.0)
-# Cost of a slope change, relative to mu over the standard deviation of the walk across an
-# interval. Too stiff has a larger error than too soft; of 0.3, 0.5, 0.7 and 1 the best in
+# Cost of a slope change, relative to mu over the standard deviation of the walk across an interval.
+# Too large a cost gives a larger error than too small a cost; of 0.3, 0.5, 0.7 and 1, the best in
 # bench_clocks.py is near this value.
 STIFFNESS_FACTOR = 0.6
 STRUCTURED_KNOT_SPACING_S = 60.0  # longer than the beats of cascaded quantisers
@@ -38,7 +38,7 @@ WALK_PER_SQRT_S = 1e-8
 # Sum of squared autocorrelations; independent windows stay below it for any distribution.
 MAX_AUTOCORRELATION = 0.25
 MAX_DISAGREEMENT_SIGMAS = 3.0  # times the predicted standard deviation
-MIN_STRUCTURE_S = 2e-6  # below it is the resolution of the counter
+MIN_STRUCTURE_S = 2e-6  # smaller structure is the resolution of the counter
 
 
 @dataclass(frozen=True, slots=True, eq=False)

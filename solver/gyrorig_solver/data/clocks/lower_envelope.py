@@ -63,7 +63,7 @@ def lower_hull(x: FloatArray, y: FloatArray) -> IntArray:
 
 
 def _prefilter_points(x: FloatArray, y: FloatArray) -> IntArray:
-    """Return the points that remain after repeated dropping of interior points."""
+    """Return the points that remain after repeated removal of interior points."""
     index = np.arange(x.size)
     while index.size > 4 * _BLOCK_POINTS:
         remaining = (

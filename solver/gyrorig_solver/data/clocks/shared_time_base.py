@@ -1,8 +1,8 @@
 """A shared time base of the boards on one CAN bus, from common SYNC edges.
 
-Every board latches a SYNC frame at the same moment T_k, whatever the delays of the sender, the
-host and the bus. The map m_b of each board gives this moment with the error c_b of the map and
-the delay e of the board's interrupt:
+Every board latches a SYNC frame at the same time T_k, regardless of the delays of the sender, the
+host and the bus. The map m_b of each board gives this time with the error c_b of the map and the
+delay e of the board's interrupt:
 
     m_b(latch_bk) = T_k + c_b(T_k) + e_bk.
 
@@ -75,7 +75,7 @@ def fit_shared_time(boards: Mapping[str, ClockExchanges]) -> dict[str, TimeCorre
     origin_ns = min(bus.origin_ns for bus in boards.values())
     edge_s = _common_edges(list(boards.values()), origin_ns)
     observed = np.isfinite(edge_s).astype(np.int64)
-    # The boards of one bus are a connected component, because each bus has its own edges.
+    # The boards of one bus are a connected component, because each bus has separate edges.
     _, group = connected_components(observed @ observed.T >= MIN_COMMON_EDGES, directed=False)
     names = np.array(list(boards))
     corrections: dict[str, TimeCorrection] = {}
@@ -106,7 +106,7 @@ def _fit_corrections(
     """Fit the correction of each board.
 
     Args:
-        origins_ns: of each board's own times.
+        origins_ns: origins of the boards' times.
         edge_s: (boards, edges); nan if a board missed it.
         origin_ns: of `edge_s`.
     """
@@ -121,7 +121,7 @@ def _fit_corrections(
         np.histogram(mean_s[board_edges], knots_s)[0].min() >= MIN_EDGES_PER_PIECE
         for board_edges in observed
     ]
-    if not all(has_enough):  # a board that was absent for long keeps its own time
+    if not all(has_enough):  # a board that was absent for long keeps its time
         is_kept = dict(zip(origins_ns, has_enough, strict=True))
         origins_ns = {name: ns for name, ns in origins_ns.items() if is_kept[name]}
         return _fit_corrections(origins_ns, edge_s[np.array(has_enough)], origin_ns)

@@ -1,12 +1,12 @@
 """Unwrapping of a tick counter, in segments between restarts and clock steps.
 
-Wraps are counted by host time and not by decreasing timestamps, because a swapped sample taken
-for a wrap is an error of 71.6 min. Between two samples the number of wraps is the nearest
-integer to (host interval - device interval) / period. This is safe while skew x gap is below
-half a period.
+Wraps are counted by host time and not by decreasing timestamps, because a swapped sample that
+counts as a wrap is an error of 71.6 min. Between two samples the number of wraps is the nearest
+integer to (host interval - device interval) / period. This is safe while skew x gap is below half a
+period.
 
-A first pass over all samples, in pieces of bounded size, finds the suspect steps;
-`clock_faults` classifies them one by one.
+A first pass over all samples, in pieces of bounded size, finds the suspect steps; `clock_faults`
+then classifies each of them.
 """
 
 from dataclasses import dataclass
@@ -152,8 +152,8 @@ def _assemble_device_time(
     return device_s, segment, wrap_count
 
 
-# A minimum latency cannot decrease. That of USB frames and of FTDI's latency timer seems to
-# decrease by 1 and by 16 ms when their beat with the stream wraps.
+# A minimum latency cannot decrease. The minimum latencies of USB frames and of FTDI's latency timer
+# seem to decrease by 1 and by 16 ms when their beat with the stream wraps.
 _MIN_FLOOR_DROP_S = 0.02
 _FLOOR_WINDOWS = 15
 _WINDOW_S = 1.0
@@ -164,7 +164,7 @@ def _find_floor_drops(device_s: FloatArray, segment: IntArray, host_s: FloatArra
     drops: list[int] = []
     edges = np.searchsorted(segment, np.arange(int(segment[-1]) + 2))
     for a, b in pairwise(edges.tolist()):
-        # Only windows with samples: a far timestamp makes the others countless.
+        # Use only windows with samples: with a far timestamp, the number of other windows is huge.
         window = np.floor((host_s[a:b] - host_s[a]) / _WINDOW_S)
         rows = a + np.concatenate([[0], np.flatnonzero(np.diff(window) > 0.0) + 1])
         if rows.size <= _FLOOR_WINDOWS:

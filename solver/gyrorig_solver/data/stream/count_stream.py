@@ -27,7 +27,7 @@ _MAX_EXAMPLES = 50
 class StreamFinding:
     """A defect of the samples."""
 
-    cause: str  # a cause id of the catalogue
+    cause: str  # id of the cause in the catalogue
     part: str  # of the rig, as in the catalogue of causes
     where: tuple[str, ...]  # sensor axes, () for all of them
     count: int  # affected samples or words
@@ -36,7 +36,7 @@ class StreamFinding:
     quantity: str  # the name of `size`
     size: float
     unit: str
-    seen_as: str  # one sentence
+    seen_as: str  # one sentence on the evidence
     remedy: str
     times_s: tuple[float, ...] = ()  # times of some affected samples, s since the start
 
@@ -48,7 +48,7 @@ class StreamFinding:
 
 @dataclass(frozen=True, slots=True)
 class CheckResult:
-    """The result of one check; `findings` is empty if nothing is wrong."""
+    """The result of one check; `findings` is empty if there is no defect."""
 
     check: str
     summary: str
@@ -93,10 +93,10 @@ class CountStream:
 
     @cached_property
     def repeat_share(self) -> FloatArray:
-        """Share of samples that equal the one before by noise and quantisation, shape (3,).
+        """Share of samples that equal the previous one by noise and quantisation, shape (3,).
 
-        The larger of twice the share for white noise of the axis' standard deviation, and the
-        upper quartile over windows.
+        It is the larger of two values: twice the share for white noise of the axis' standard
+        deviation, and the upper quartile over windows.
         """
         shares, differences = [np.zeros((0, 3))], [np.zeros((0, 3))]
         for _, counts in self.pieces():
@@ -139,11 +139,11 @@ def replace_usable(
     Args:
         samples: their counts are shared.
         usable: the mask, (n,).
-        repeated: number of repeated samples; None: as before.
+        repeated: number of repeated samples; None: unchanged.
     """
     count_fields: dict[str, Any] = {
         name: stored_column(samples, name) for name in COUNT_FIELDS
-    }  # not as values, which `replace` would read
+    }  # not as values, because `replace` would read them
     count = samples.repeated if repeated is None else repeated
     return replace(samples, usable=usable, repeated=count, **count_fields)
 

@@ -1,11 +1,11 @@
 """Check for damaged words, flipped bits and torn bytes, by the fourth difference.
 
-A single wrong word with error A appears as A (1, -4, 6, -4, 1) in the fourth difference, which
-is not possible for a motion behind a low-pass. It is reported only if the error agrees with one
-flipped bit, or with the high byte of the previous sample. The check needs no model: on the
-residual of a fit, backlash was once taken for a flipped bit. A jump of the rate at the start of a
-move makes spikes too, and some of them agree with a damaged word by chance. If other spikes do not
-agree, more must agree than by chance.
+A single wrong word with error A appears as A (1, -4, 6, -4, 1) in the fourth difference, which is
+not possible for a motion after a low-pass. It is reported only if the error agrees with one flipped
+bit, or with the high byte of the previous sample. The check needs no model: on the residual of a
+fit, backlash once looked like a flipped bit. A jump of the rate at the start of a move makes spikes
+too, and some of them agree with a damaged word by chance. If other spikes do not agree, more spikes
+must agree than by chance.
 """
 
 from collections.abc import Iterator, Sequence
@@ -28,9 +28,9 @@ SPIKE_PATTERN = np.array([1.0, -4.0, 6.0, -4.0, 1.0])
 MIN_SPIKE_SIGMAS = 14.0  # in local standard deviations of the fourth difference over 6
 MAX_OTHER_AXES_SIGMAS = 6.0  # the same, for the other axes
 MAX_NEIGHBOUR_SIGMAS = 3.5  # the same, for the neighbours after the spike is subtracted
-SINGLE_SPIKE_SIGMAS = 30.0  # one such word is sufficient; of smaller ones MIN_WORDS are needed
+SINGLE_SPIKE_SIGMAS = 30.0  # one such word is sufficient; of smaller ones, MIN_WORDS are needed
 MIN_WORDS = 3
-MAX_CHANCE_P = 1e-3  # of so many spikes that agree with a damaged word by chance
+MAX_CHANCE_P = 1e-3  # that so many spikes agree with a damaged word by chance
 # Errors that are added to a spike, to measure how often it agrees by chance; in counts.
 CONTROL_ERRORS = (37.0, -53.0, 71.0, -89.0, 103.0, -127.0)
 WORD_BITS = 16
@@ -46,7 +46,7 @@ class WordSpike:
 
     row: int
     axis: int
-    kind: str  # "bit", "torn", or "" where it agrees with neither
+    kind: str  # "bit", "torn", or "" if it agrees with neither
     sigmas: float
     chance: float  # probability that it agrees with a damaged word by chance
 
@@ -95,7 +95,7 @@ def check_damaged_words(stream: CountStream) -> CheckResult:
 def _chance_p_value(spikes: Sequence[WordSpike]) -> float:
     """Return the probability that so many spikes agree with damaged words by chance.
 
-    It is 0 if all of them agree, because then nothing shows that the motion makes spikes.
+    It is 0 if all of them agree, because then no spike shows that the motion makes spikes.
     """
     agreeing = sum(bool(spike.kind) for spike in spikes)
     if agreeing == len(spikes):
@@ -159,7 +159,7 @@ def _local_deviation(spike_size: FloatArray) -> FloatArray:
 def _is_single_word(
     counts: IntArray, spike_size: FloatArray, deviation: FloatArray, row: int, axis: int
 ) -> bool:
-    """Return whether a spike at fourth difference `row` is of one word of one axis."""
+    """Return whether a spike at fourth difference `row` comes from one word of one axis."""
     if row < 2 or row >= spike_size.shape[0] - 2:
         return False
     amplitude, unit = float(spike_size[row, axis]), float(deviation[row, axis])

@@ -1,4 +1,4 @@
-"""Check for repeated samples: all words equal to those of the sample before.
+"""Check for repeated samples: all words equal to those of the previous sample.
 
 With coarse counts this also happens by chance. The expected number is computed per window from
 the repeat share of each axis, with independent axes. If the board has an accelerometer, all six
@@ -23,7 +23,7 @@ from gyrorig_solver.data.stream.count_stream import (
 )
 
 CHECK_NAME = "repeated samples"
-MAX_CHANCE_SHARE = 0.2  # of the repeats; above this share by chance none is excluded
+MAX_CHANCE_SHARE = 0.2  # of the repeats; with a larger share by chance, no sample is excluded
 CHANCE_FACTOR = 1.25  # the axes are not quite independent: one motion drives all of them
 MIN_REPEATS = 3
 MAX_SAMPLES_WITH_ACCEL = 4_000_000  # samples
@@ -35,7 +35,7 @@ REMEDY = (
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Repeats:
-    """The samples that repeat the one before, and their significance."""
+    """The samples that repeat the previous one, and their significance."""
 
     rows: IntArray
     expected_by_chance: float  # number of repeats
@@ -85,7 +85,7 @@ def check_repeats(stream: CountStream) -> CheckResult:
 def without_repeats(samples: GyroSamples) -> GyroSamples:
     """Return samples with true repeats marked as not usable.
 
-    A repeat is late by one period, and has the same effect as lost steps when the rate changes.
+    A repeat is late by one period; if the rate changes, it has the same effect as lost steps.
     """
     repeats = _find_repeats(CountStream(samples))
     if (
@@ -114,7 +114,7 @@ def _test_repeats(stream: CountStream, with_accel: bool) -> _Repeats:
 
 
 def _count_repeats(stream: CountStream, with_accel: bool) -> tuple[IntArray, float]:
-    """Return the samples that repeat the one before, and their expected number by chance."""
+    """Return the samples that repeat the previous one, and their expected number by chance."""
     repeat_rows, expected = [np.zeros(0, dtype=np.int64)], 0.0
     acceleration = stored_column(stream.samples, "accel_m_s2") if with_accel else None
     for rows, counts in stream.pieces():

@@ -1,9 +1,9 @@
 """Check of a fitted gain for exchanged axes, wrong signs and a wrong full scale.
 
-The base model absorbs these errors completely: they leave no residual, only a gain that no
-mount and no data sheet allow. The check uses the nearest signed permutation P of the gain, and
-the ratio of the scale to 1. If P is a rotation (determinant +1), the board can also be mounted
-rotated. A recording cannot separate the two; the check reports this and names no cause.
+The base model absorbs these errors completely: they leave no residual, only a gain that no mount
+and no data sheet allow. The check uses the nearest signed permutation P of the gain, and the ratio
+of the scale to 1. If P is a rotation (determinant +1), the board can also be mounted rotated. A
+recording cannot separate the two cases; the check reports this and names no cause.
 """
 
 import itertools
@@ -39,7 +39,7 @@ def check_gain(gain: FloatArray, tolerance: float | None = None) -> tuple[CheckR
     if not np.all(np.isfinite(gain)):
         summary = "not checked, because the gain is not fully known"
         return CheckResult(AXES_CHECK_NAME, summary), CheckResult(FULL_SCALE_CHECK_NAME, summary)
-    row_norms = np.linalg.norm(gain, axis=1)  # without the sign of a mirror, unlike S
+    row_norms = np.linalg.norm(gain, axis=1)  # without the sign of a mirrored sensor, unlike S
     return _check_axes(gain / row_norms[:, None]), _check_full_scale(row_norms, tolerance or 0.15)
 
 

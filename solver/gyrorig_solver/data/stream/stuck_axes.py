@@ -62,8 +62,8 @@ def without_clipping(samples: GyroSamples) -> GyroSamples:
     """Return samples with clipped ones, and their neighbours, marked as not usable.
 
     A sample is clipped if a rate is at the end at which its axis stays: the true rate is larger.
-    Near that end only samples with a negative error of the noise are not clipped. Samples that
-    are less than `CLIPPING_MARGIN_S` from a clipped one are therefore not usable either.
+    Near that end, only samples with a negative noise are not clipped. Samples that are less than
+    `CLIPPING_MARGIN_S` from a clipped one are therefore not usable either.
     """
     stream = CountStream(samples)
     clipped = np.zeros(stream.size, dtype=np.bool_)
@@ -79,7 +79,7 @@ def without_clipping(samples: GyroSamples) -> GyroSamples:
 
 
 def _widen(mask: BoolArray, margin: int) -> BoolArray:
-    """Return which samples are at most `margin` samples from one of a mask."""
+    """Return which samples are at most `margin` samples from a sample of a mask."""
     count = np.cumsum(np.pad(mask, margin, mode="constant"), dtype=np.int32)
     before = np.concatenate([[0], count])[: mask.size]
     return np.asarray(count[2 * margin :] - before > 0, dtype=np.bool_)

@@ -1,11 +1,11 @@
-"""What the quaternions of a reference mean, with the proof by the gyro.
+"""Conventions of a reference's quaternions, tested with the gyro.
 
-Quaternions of others can map world to body, or have the scalar in another place. Each of these
-readings gives other body rates, and the right one agrees with the gyro up to a rotation of the
-mount and a bias. The residual is the proof of half of that: a wrong order of the components is a
-wrong direction of the map together with turned axes, because an odd permutation of the components
-of a quaternion is a conjugation between two fixed rotations. So among the readings of one
-residual, the one with the smallest rotation of the mount is the likely one.
+Quaternions from other programs can map world to body, or have the scalar in another place. Each of
+these readings gives other body rates, and the right one agrees with the gyro up to a rotation of
+the mount and a bias. The residual decides only half of that. A wrong order of the components is
+equivalent to a wrong direction of the map together with turned axes, because an odd permutation of
+the components of a quaternion is a conjugation between two fixed rotations. So among the readings
+with equal residuals, the one with the smallest rotation of the mount is the likely one.
 
 What to use when: `judge_conventions` for the residuals, `check_convention` before a fit.
 """
@@ -26,22 +26,22 @@ from gyrorig_solver.estimate.attitude.attitude_matching import (
 )
 from gyrorig_solver.reference import AttitudeReference
 
-MEAN_S = 0.1  # rates are means over this time: the noise of a camera is small in them
+MEAN_S = 0.1  # rates are means over this time, in which the noise of a camera is small
 # The reading as recorded is wrong if another one has a residual smaller by this factor.
 MIN_RESIDUAL_RATIO = 3.0
-# With a mount that is straight in the other reading and turned as recorded, this ratio is enough.
+# This ratio is sufficient if the mount is straight in the other reading and turned as recorded.
 MIN_STRAIGHT_RATIO = 1.2
 # Readings whose residuals differ by less agree equally well.
 EQUAL_RATIO = 1.1
-# A mount that is turned by as much is not one that somebody meant to be straight.
+# A mount turned by more than the first angle is not straight; by less than the second, it is.
 MIN_TURNED_MOUNT_RAD, MAX_STRAIGHT_MOUNT_RAD = np.radians(80.0), np.radians(15.0)
 # A reading whose residual is a larger share of the gyro's motion explains nothing.
 MAX_EXPLAINED_SHARE = 0.5
-# Below this share no other reading is better by the ratio above: a wrong direction of the map turns
-# the rates of at least one of three axes around.
+# If the residual is below this share, no other reading is better by the ratio above, because a
+# wrong direction of the map reverses the rates of at least one of three axes.
 CLEAR_SHARE = 0.1
 MAX_UNRELATED_SHARE = 0.55
-MIN_MOTION_RAD_S = np.radians(3.0)  # less motion shows no convention
+MIN_MOTION_RAD_S = np.radians(3.0)  # with less motion, the data do not show the convention
 TRIMMED_SHARE = 0.5  # of the largest residuals: outliers of the reference
 
 AS_RECORDED = "as recorded"
@@ -88,11 +88,11 @@ _READINGS = (
 
 @dataclass(frozen=True, slots=True)
 class ConventionResidual:
-    """One reading of the quaternions, and what it leaves of the gyro's rates."""
+    """One reading of the quaternions, and the residual of the gyro's rates with it."""
 
     reading: str
     residual_rad_s: float  # rms after the best rotation and bias
-    mount_rad: float  # that rotation, from the reference's body frame to the sensor
+    mount_rad: float  # this rotation, from the reference's body frame to the sensor
     meaning: str  # of the quaternions, if this reading is right
     remedy: str
 
@@ -106,12 +106,12 @@ class ConventionJudgement:
 
     @property
     def as_recorded(self) -> ConventionResidual:
-        """The reading as recorded."""
+        """The residual of the quaternions as recorded."""
         return next(each for each in self.residuals if each.reading == AS_RECORDED)
 
     @property
     def is_decided(self) -> bool:
-        """True if the readings differ, and the reading as recorded is among the right ones."""
+        """True if the readings differ, and the reading as recorded is one of the right ones."""
         worst = self.residuals[-1].residual_rad_s
         return (
             self.motion_rad_s > MIN_MOTION_RAD_S
@@ -131,7 +131,7 @@ class ConventionJudgement:
 
     @property
     def is_wrong(self) -> bool:
-        """True if another reading than that as recorded is right."""
+        """True if a reading other than the recorded one is right."""
         best, recorded = self.residuals[0], self.as_recorded
         is_straightened = (
             recorded.mount_rad > MIN_TURNED_MOUNT_RAD and best.mount_rad < MAX_STRAIGHT_MOUNT_RAD
@@ -155,7 +155,7 @@ class ConventionJudgement:
 def judge_conventions(
     samples: GyroSamples, reference: AttitudeReference
 ) -> ConventionJudgement | None:
-    """Return the residual of each reading of the quaternions; None without a common stretch."""
+    """Return the residual of each reading of the quaternions; None without common times."""
     residuals, motion = [], 0.0
     for reading, order, is_conjugated, meaning, remedy in _READINGS:
         orientation = reference.orientation_xyzw[:, order]
@@ -222,9 +222,9 @@ def check_convention(samples: GyroSamples, reference: AttitudeReference) -> str:
 
 
 def _residual(segments: Sequence[AttitudeSegment]) -> tuple[float, float, float]:
-    """Return the rms that the best rotation leaves of the gyro's rates, their rms, and its angle.
+    """Return the rms of the gyro's rates after the best rotation, their rms, and the angle.
 
-    A bias is removed too.
+    The angle is that of the rotation. A bias is removed too.
     """
     lag_s = coarse_lag_s(segments)
     rates, measured = [], []

@@ -1,17 +1,17 @@
-"""The fit of gain, bias and time offset to a reference attitude, in the rate domain.
+"""Fit of gain, bias and time offset to a reference attitude, in the rate domain.
 
 What to use when: `solve_attitude` for the iterations of the fit; `attitude_summary.fit_attitude`
 for the fit with its summary.
 
 Theory of operation. Over each step of the reference, y(t + tau) = G w(t) + b + noise. Above a few
 Hz, differentiated motion capture is far noisier than the gyro, and a noisy w as a regressor biases
-G towards zero (least squares on the data set `broad` gives G = 0). So w is replaced by the best
-estimate of the true rate from both sides, w + S_w G' (G S_w G' + S_y)^-1 (y - G w - b), whose error
-is uncorrelated with the residual (Deming's regression, per frequency). The computation runs in the
-DCT domain, where the residual's density, estimated in bins, weights each frequency. Only
-frequencies up to `DEFAULT_BAND_HZ` are used: a gain and a delay describe a sensor at low
-frequencies. Above, its low-pass and the smoothing of the reference differ (measured on `broad` 07:
-+1 to +2 % at 5 Hz, +3 to +4 % at 8 Hz, -4 to +6 % at 14 Hz).
+G towards zero (least squares on the data set `broad` gives G = 0). Therefore w is replaced by the
+best estimate of the true rate from both sides, w + S_w G' (G S_w G' + S_y)^-1 (y - G w - b), whose
+error is uncorrelated with the residual (Deming's regression, per frequency). The computation is in
+the DCT domain. The residual's density, estimated in bins, weights each frequency. Only frequencies
+up to `DEFAULT_BAND_HZ` are used: a gain and a delay describe a sensor at low frequencies. At higher
+frequencies, its low-pass and the smoothing of the reference differ (measured on `broad` 07: +1 to
++2 % at 5 Hz, +3 to +4 % at 8 Hz, -4 to +6 % at 14 Hz).
 """
 
 from collections.abc import Mapping, Sequence
@@ -32,14 +32,14 @@ from gyrorig_solver.estimate.observability import (
 from gyrorig_solver.reference import AttitudeReference
 
 DEFAULT_BAND_HZ = 5.0
-# A fit on this share of the band must agree within so many standard deviations.
+# Share of the band for a second fit, and the standard deviations within which both must agree.
 LOWER_BAND_SHARE = 0.2
 MAX_BAND_DIFFERENCE_SIGMA = 4.0
 
 
 @dataclass(frozen=True, slots=True)
 class _BandComparison:
-    """Whether a lower band gives the same gain."""
+    """Comparison of the gains of the band and of a lower band."""
 
     std_factor: float  # 1 if the bands agree
     limited_reasons: tuple[str, ...]
@@ -107,8 +107,8 @@ def solve_without_effects(fit: AttitudeFit, effects: Mapping[int, FloatArray]) -
 
     Args:
         fit: a fit to the same recordings.
-        effects: what the causes add to the mean rates of segments, (n, 3), by number in `fit`; the
-            other segments are left out.
+        effects: contribution of the causes to the mean rates of segments, (n, 3), by number in
+            `fit`; the other segments are left out.
     """
     numbers = sorted(effects)
     segments = [fit.solver.segments[k] for k in numbers]
@@ -147,10 +147,10 @@ def _check_overlap(matched: set[int], count: int) -> None:
 
 
 def _compare_bands(solver: AttitudeSolver) -> _BandComparison:
-    """Compare with a fit on a lower band: if the two differ, neither is certain to be the gain.
+    """Compare with a fit on a lower band; if the two differ, it is uncertain which one is the gain.
 
-    It detects a smoothed reference, or errors that the reference shares with the gyro (the pose of
-    a car: gain.xx 0.4 % at 1 Hz, 4.5 % at 5 Hz, each with 0.5 % by its own residual).
+    The comparison detects a smoothed reference, or errors that the reference shares with the gyro
+    (the pose of a car: gain.xx 0.4 % at 1 Hz, 4.5 % at 5 Hz, each with 0.5 % by its own residual).
     """
     band_hz = solver.band_hz
     lower = AttitudeSolver(

@@ -1,8 +1,8 @@
-"""Matching of gyro and reference attitude: gyro means over the steps of the reference.
+"""Matching of gyro and reference attitude: means of the gyro over the steps of the reference.
 
-The reference shows the mean body rate between two attitudes and nothing in between. The gyro is
-denser or at least smoother, so the gyro is averaged over the reference's steps (exactly, by the
-integral of a cubic spline) instead of the other way round.
+The reference shows only the mean body rate between two attitudes. The gyro has more samples, or is
+at least smoother. Therefore the gyro is averaged over the reference's steps (exactly, by the
+integral of a cubic spline), and the reference is not interpolated.
 """
 
 from collections.abc import Sequence
@@ -23,13 +23,13 @@ MAX_LAG_S = 0.3
 MAX_BRIDGED_PERIODS = 3.5
 MIN_BLOCKS = 64
 MAX_SPEED_RATIO = 1.5  # of the reference over the gyro
-# Enough points to separate two lags by correlation.
+# Sufficient points to separate two lags by correlation.
 MAX_CORRELATION_POINTS = 4000
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class AttitudeSegment:
-    """One track of the reference, with a gyro that covers it."""
+    """One segment of the reference whose times the gyro covers."""
 
     track: BodyRateSegment
     rate_spline: CubicSpline[np.float64]  # rate, sensor frame
@@ -49,7 +49,7 @@ class AttitudeSegment:
 
     @property
     def bias_share(self) -> FloatArray:
-        """The share of a bias in each mean rate, (n,): 1 without jitter of the stamps."""
+        """The share of a bias in each mean rate, (n,): 1 without jitter of the timestamps."""
         return np.asarray(
             (self.track.end_s - self.track.begin_s) / self.track.duration_s, dtype=np.float64
         )
@@ -60,7 +60,7 @@ def match_segments(samples: GyroSamples, reference: AttitudeReference) -> list[A
 
     Args:
         samples: of one board, times on the reference's axis.
-        reference: attitudes; `MAX_LAG_S` of gyro on both sides are kept as a margin.
+        reference: attitudes; the gyro must cover a margin of `MAX_LAG_S` on both sides.
     """
     good = samples.usable
     time_s, rate = samples.time_s[good], samples.rate_rad_s[good]
@@ -96,7 +96,7 @@ def coarse_lag_s(segments: Sequence[AttitudeSegment]) -> float:
     stride = slice(None, None, max(1, count // MAX_CORRELATION_POINTS))
     middle_s = 0.5 * (longest.track.begin_s + longest.track.end_s)[stride]
     reference_speed = np.linalg.norm(longest.track.rate_rad_s[stride], axis=1)
-    # The board is never much faster than the gyro shows: what is faster is an outlier.
+    # The board is never much faster than the gyro shows; larger speeds are outliers.
     fastest = np.max(np.linalg.norm(longest.rate_spline(middle_s), axis=1))
     reference_speed = np.minimum(reference_speed, MAX_SPEED_RATIO * fastest)
     reference_speed = reference_speed - reference_speed.mean()

@@ -3,12 +3,12 @@
 It is used like `nuisance_projector`, so that a search runs the same tests, with three differences.
 The reference is the noisy side: its density is estimated from the residual, as a smooth model times
 correction factors in bins. Only the band of the fit is used, and a series has as many values as the
-band has coefficients. And the noise of a camera grows with the motion: the local scatter of the
-residual weights each moment.
+band has coefficients. The noise of a camera grows with the motion, so the local scatter of the
+residual weights each instant.
 
-What to use when: `AttitudeProjector.at_attitude_fit`. Its states use the rate of the gyro itself,
-corrected with the fitted gain and bias. The gyro's noise is negligible relative to the reference's,
-and functions of a noisy rate would be functions of that noise.
+What to use when: `AttitudeProjector.at_attitude_fit`. Its states use the rate of the gyro,
+corrected with the fitted gain and bias. The gyro's noise is negligible relative to the reference's;
+functions of the noisy reference rate would be functions of that noise.
 """
 
 from collections.abc import Sequence
@@ -160,7 +160,7 @@ class AttitudeProjector(NuisanceProjector):
 
     def unwhiten(self, white_signal: FloatArray, as_if_at_rest: bool = False) -> list[FloatArray]:
         """Return a whitened signal (all,) as rates in the band, (n, 3) per segment."""
-        del as_if_at_rest  # the scatter of a segment is not that of motors
+        del as_if_at_rest  # the scatter of a segment does not come from the motors
         return [
             whitener.unwhiten(white_part, segment.block_count)
             for whitener, white_part, segment in zip(
@@ -202,7 +202,7 @@ class AttitudeProjector(NuisanceProjector):
         ]
 
     def analyse_observability(self) -> ObservabilityAnalysis:
-        """Return that of G, the last recording's bias and time offset, and the causes' values."""
+        """Return the analysis of G, bias and time offset of the last recording, and causes."""
         layout = ParameterLayout.of([self.fitted_terms], self.recording_count)
         keep = layout.index(self.recording_count - 1)
         information = eliminate_parameters(self._basis @ self._basis.T, keep, layout.prior_std)
@@ -210,9 +210,9 @@ class AttitudeProjector(NuisanceProjector):
         return analysis.widened(np.sqrt(self._variance_factors(layout.prior_std)[keep]))
 
     def _variance_factors(self, prior_std: FloatArray) -> FloatArray:
-        """Return by how much each variance is larger than by the information, (p,).
+        """Return the ratio of each variance to that from the information, at least 1, (p,).
 
-        As `AttitudeSolver.variance_factors`, from the scores of chunks of time.
+        It is computed as in `AttitudeSolver.variance_factors`, from the scores of chunks of time.
         """
         times_s = [np.floor(times / FACTOR_CHUNK_S) for times in self._times_s()]
         chunks = np.concatenate(
@@ -269,7 +269,7 @@ class AttitudeProjector(NuisanceProjector):
     def residual_of_model(self, gain: FloatArray, fitted_terms: Sequence[FittedTerm]) -> FloatArray:
         """Return the whitened residual for a gain and causes from another fit, (all,).
 
-        Bias and lag are fitted here.
+        Bias and lag are fitted by this function.
 
         Args:
             gain: G, shape (3, 3).
@@ -298,7 +298,7 @@ class AttitudeProjector(NuisanceProjector):
         for axis in range(3):
             derivatives[index[3 * axis : 3 * axis + 3], :, axis] = segment.rate.T
             derivatives[index[GAIN_PARAMETERS + axis], :, axis] = 1.0
-        # y is taken at t + tau: y moves and the model does not, so the sign is negative.
+        # The gyro is sampled at t + tau: the lag moves y, not the model, so the sign is negative.
         derivatives[index[GAIN_PARAMETERS + 3]] = -segment.slope
         derivatives[layout.term_index()] = term_derivatives
         return derivatives

@@ -1,10 +1,10 @@
-"""Attitudes that are wrong: single outliers, jumps, and markers that were swapped.
+"""Removal of wrong attitudes: single outliers, jumps, and swapped markers.
 
-The turn of the gyro between two attitudes shows which attitudes are wrong. Two large residuals
-that cancel are an attitude that is wrong by itself; it is left out. A residual that nothing
-cancels is a jump: the segment ends there. If the world frame jumped, the rates of the body after
-it are right. If the frame of the body jumped, as after a swap of two markers, the rates after it
-belong to another body frame; that part is left out.
+The turn of the gyro between two attitudes shows which attitudes are wrong. Two large residuals that
+cancel come from one wrong attitude; it is left out. A residual without such a counterpart is a
+jump: the segment ends there. If the world frame jumped, the rates of the body after it are right.
+If the frame of the body jumped, as after a swap of two markers, the rates after it belong to
+another body frame; that part is left out.
 
 What to use when: `remove_outliers` after a first fit, `remove_swapped` after a fit without
 outliers.
@@ -18,10 +18,10 @@ from gyrorig_solver.data import BoolArray, FloatArray
 from gyrorig_solver.estimate.attitude.attitude_solver import AttitudeSolver
 from gyrorig_solver.reference import AttitudeReference
 
-# Residual turns in robust standard deviations and in rad: less is noise of the reference.
+# Residual turns in robust standard deviations and in rad; smaller ones are noise of the reference.
 OUTLIER_SIGMA = 12.0
 MIN_OUTLIER_RAD = 0.02
-# Body frames that differ by less are one frame: a fit of a few seconds is not better.
+# Body frames that differ by less are one frame; a fit of a few seconds is not more accurate.
 MIN_SWAP_RAD = np.radians(3.0)
 MIN_FRAME_S = 2.0  # a shorter segment does not show its body frame
 
@@ -74,7 +74,7 @@ def _groups(is_large: BoolArray) -> list[tuple[int, int]]:
 def remove_swapped(
     solver: AttitudeSolver, reference: AttitudeReference
 ) -> tuple[AttitudeReference, str]:
-    """Return the reference without the segments of another body frame, and what was left out.
+    """Return the reference without the segments of another body frame, and a text about these.
 
     Args:
         solver: a fit of this reference alone, cut at its jumps.

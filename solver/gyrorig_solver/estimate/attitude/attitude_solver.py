@@ -1,6 +1,6 @@
-"""The Gauss-Newton iterations of the fit to a reference attitude, in the DCT domain.
+"""Gauss-Newton iterations of the fit to a reference attitude, in the DCT domain.
 
-What to use when: inside `attitude_fit.solve_attitude`, whose module has the theory.
+What to use when: only inside `attitude_fit.solve_attitude`, whose module has the theory.
 """
 
 from collections.abc import Sequence
@@ -25,18 +25,19 @@ from gyrorig_solver.estimate.parameter_layout import (
 
 MAX_ITERATIONS = 15
 CONVERGED_SIGMA = 1e-3
-# With fewer per bin the weights overfit the residual: with 12 the true errors were
-# 1.2 times the standard deviations over 30 simulated runs, with 80 1.02 to 1.09 times.
+# With fewer values per bin, the weights overfit the residual: with 12, the true errors were 1.2
+# times the standard deviations over 30 simulated runs, with 80 they were 1.02 to 1.09 times.
 BINS = 10
 MIN_PER_BIN = 80
-# The inverse of a variance from n values is too large by 2 / n, and weights that follow the
-# residual fit it by as much again: so many values fewer count.
+# Degrees of freedom that are subtracted from n values. The inverse of a variance from n values is
+# too large by 2 / n, and weights that follow the residual fit it by the same amount again.
 WEIGHT_FREEDOM = 4.0
-# A residual of so many robust standard deviations is a glitch of the reference.
+# A residual of more robust standard deviations is a glitch of the reference.
 GLITCH_SIGMA = 8.0
 # Chunks for the variance of the score; longer than its correlation.
 CHUNK_S = 5.0
-FACTOR_CHUNK_S = 1.0  # as long as the correlation of a score: many chunks for each parameter
+# as long as the correlation of a score, so that each parameter has many chunks
+FACTOR_CHUNK_S = 1.0
 MIN_CHUNKS = 8
 
 
@@ -102,8 +103,8 @@ class AttitudeSolver:
             segments: of all recordings.
             band_hz: higher frequencies are not used.
             recording_of_segment: number of each segment's recording; None: all of one recording.
-            effects: what causes add to each segment's mean rates, (n, 3); None: nothing.
-            lags_s: of each recording, to start with, if known.
+            effects: contribution of causes to each segment's mean rates, (n, 3); None: no causes.
+            lags_s: initial time offset of each recording, if known.
         """
         self.segments, self.band_hz = tuple(segments), band_hz
         recordings = [0] * len(segments) if recording_of_segment is None else recording_of_segment
@@ -125,7 +126,7 @@ class AttitudeSolver:
             self.in_band.append(f <= band_hz)
             frequency.append(f[self.in_band[-1]])
         self.frequency_hz = np.concatenate(frequency)
-        # The share of each residual that the fit removes; it has four parameters per axis.
+        # Share of each residual that the fit removes; the fit has four parameters per axis.
         rows = self.frequency_hz.size
         self._leverage = np.full((rows, 3), min(4.0 / rows, 0.5))
         self.bin = _log_bins(self.frequency_hz)
@@ -211,7 +212,8 @@ class AttitudeSolver:
         residual = np.concatenate(residuals)
         variance = _binned_power(residual**2, self.bin, self.frequency_hz, self._leverage)
         gyro_noise = np.minimum(_gyro_noise_floor(gyro_spectra), variance)
-        reference_share = 1.0 - gyro_noise / variance  # of the residual, from the reference
+        # share of the residual that comes from the reference
+        reference_share = 1.0 - gyro_noise / variance
         rate = np.concatenate(rates) + (reference_share * residual) @ inverse.T
         regressor_noise = (gyro_noise * reference_share) @ (inverse**2).T
         jacobian = np.zeros((residual.shape[0], 3, self.layout.size))
@@ -226,7 +228,7 @@ class AttitudeSolver:
             session = self.layout.index(recording)[GAIN_PARAMETERS:]
             for i in range(3):
                 jacobian[part, i, session[i]] = constant
-            # y is taken at t + tau: y moves and the model does not, so the sign is negative.
+            # The gyro is sampled at t + tau: the lag moves y, not the model. So the sign is minus.
             jacobian[part, :, session[3]] = -slope
         return LinearisedModel(residual, jacobian, variance, regressor_noise, glitches)
 
@@ -244,7 +246,7 @@ class AttitudeSolver:
         return CleanedSegment(measured, slope, rate, clipped, glitches)
 
     def score_inflation(self, linearised: LinearisedModel) -> float:
-        """Return the variance of the score over chunks of time, relative to that by the noise.
+        """Return the variance of the score over chunks of time, relative to that from the noise.
 
         It is 1 if the noise is as stationary as the weights assume. Residuals that grow with the
         motion increase it.
@@ -253,16 +255,16 @@ class AttitudeSolver:
         return 1.0 if ratios is None else float(np.median(ratios))
 
     def variance_factors(self, linearised: LinearisedModel) -> FloatArray:
-        """Return each parameter's variance relative to that by its information, at least 1, (p,).
+        """Return each parameter's variance relative to that from its information, at least 1, (p,).
 
-        The noise of a reference grows with the motion, so it is largest where the motion tells
-        most. Source: White, Econometrica 48 (1980) 817, with chunks for the correlation.
+        The noise of a reference grows with the motion, so it is largest where the information is
+        largest. Source: White, Econometrica 48 (1980) 817, with chunks for the correlation.
         """
         ratios = self._score_ratios(linearised, FACTOR_CHUNK_S)
         return np.ones(self.layout.size) if ratios is None else np.maximum(ratios, 1.0)
 
     def _score_ratios(self, linearised: LinearisedModel, chunk_s: float) -> FloatArray | None:
-        """Return each parameter's variance by the scores of chunks over that by the noise, (p,)."""
+        """Return each parameter's variance from scores of chunks over that from the noise, (p,)."""
         scores, first = [], 0
         root = np.sqrt(linearised.variance)
         for segment, in_band in zip(self.segments, self.in_band, strict=True):
@@ -327,7 +329,7 @@ def _log_bins(frequency_hz: FloatArray) -> IntArray:
 def smooth_power(power: FloatArray, frequency_hz: FloatArray) -> FloatArray:
     """Return each coefficient's expected power, (n, 3), smooth over frequency.
 
-    The fit has removed four parameters per axis from the power; that share is added back.
+    The fit has removed four parameters per axis from the power; this share is added back.
 
     Args:
         power: shape (n, 3).
@@ -342,8 +344,8 @@ def _binned_power(
 ) -> FloatArray:
     """Return each coefficient's expected power: bin means, interpolated linearly in log-log.
 
-    The share of the power that the fit has removed, `leverage` (n, 3), is added back, and that
-    by which weights from few values are too certain.
+    The result is corrected for the share of the power that the fit has removed, `leverage` (n, 3),
+    and for weights that are too certain because they come from few values.
     """
     f = np.log(np.maximum(frequency_hz, np.min(frequency_hz[frequency_hz > 0.0])))
     count = np.bincount(bins).astype(np.float64)
@@ -361,7 +363,7 @@ def _binned_power(
 def _gyro_noise_floor(totals: Sequence[FloatArray]) -> FloatArray:
     """Return an upper bound of the gyro's white noise in DCT variance, shape (3,).
 
-    It is the minimum of the gyro's own spectrum, because motion only adds to it.
+    It is the minimum of the gyro's spectrum, because motion only adds to it.
     """
     lowest = np.full(3, np.inf)
     for total in totals:
@@ -375,8 +377,8 @@ def _gyro_noise_floor(totals: Sequence[FloatArray]) -> FloatArray:
 def _clip_glitches(residual: FloatArray, rate: FloatArray) -> tuple[FloatArray, int]:
     """Return the residual with glitches clipped, and their number.
 
-    Markers seen at another angle are noisier, so the faster half of the motion sets the limit, not
-    the rests.
+    Markers in motion are noisier, because cameras see them at other angles. Therefore the faster
+    half of the motion determines the limit, not the rests.
     """
     speed = np.linalg.norm(rate, axis=1)
     fast = np.abs(residual[speed >= np.median(speed)])

@@ -1,7 +1,7 @@
 """The summary of a fit to reference attitudes: observability, residuals, warnings and plots.
 
 What to use when: `fit_attitude` for one board in one or more recordings with `/reference/attitude`;
-`summarize_attitude_fit` for a fit that `attitude_fit` made.
+`summarize_attitude_fit` for a fit of `attitude_fit`.
 """
 
 from collections.abc import Sequence
@@ -229,7 +229,7 @@ def _diagnostics(solver: AttitudeSolver) -> FitDiagnostics:
 
 
 def _shifts_in_sequence_s(solver: AttitudeSolver) -> FloatArray:
-    """Return what to add to each recording's times, so that the recordings follow each other."""
+    """Return the time shift of each recording with which the recordings follow each other."""
     shifts, end_s = np.zeros(len(solver.biases)), 0.0
     for k in range(len(shifts)):
         tracks = [

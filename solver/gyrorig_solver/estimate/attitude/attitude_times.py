@@ -1,8 +1,8 @@
-"""The times of reference attitudes, decided by the gyro.
+"""Times of reference attitudes, which the gyro decides.
 
-The stamps leave several candidates for the times (`reference.attitude_stamps`). Each is fitted
-to the gyro, and the one with the least residual is used. Then outliers and swapped markers are
-removed, and the drift between the clocks of reference and gyro is corrected.
+The timestamps give several candidates for the times (`reference.attitude_stamps`). Each candidate
+is fitted to the gyro, and the one with the least residual is used. Then outliers and swapped
+markers are removed, and the drift between the clocks of reference and gyro is corrected.
 """
 
 from dataclasses import dataclass, replace
@@ -26,29 +26,29 @@ from gyrorig_solver.reference import AttitudeReference
 from gyrorig_solver.reference.attitude_reference import DriftCorrection
 from gyrorig_solver.reference.attitude_stamps import MIN_STAMPS
 
-# Another candidate than the smoothest must be better by so many nats.
+# A candidate that is less smooth than the first must be better by this many nats.
 MIN_GAIN_NATS = 10.0
 MAX_DRIFT_ITERATIONS = 4
 MAX_REPAIRS = 3
 MAX_NAMED_STEPS = 6
-SAME_STEP_S = 2.5 * WINDOW_S  # neighbouring windows share one step
+SAME_STEP_S = 2.5 * WINDOW_S  # neighbouring windows can share one step
 MIN_NAMED_SKEW = 1e-6
-MIN_SCATTER_S = 2e-5  # of the mean stamp of a window: a smaller drift matters to nobody
+MIN_SCATTER_S = 2e-5  # of the mean timestamp of a window; a smaller drift is irrelevant
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ResolvedReference:
-    """A reference on the times of the fit, and what was found about it."""
+    """A reference on the times of the fit, with the results of its repair."""
 
     reference: AttitudeReference
     remarks: tuple[str, ...] = ()
     outliers: int = 0
-    step_std_s: float = 0.0  # of the time offset, because the clocks step
+    step_std_s: float = 0.0  # uncertainty of the time offset from steps of the clocks
     has_sawtooth: bool = False  # its times have the saw-tooth of a clock
 
     @property
     def offset_std_s(self) -> float:
-        """The uncertainty of the time offset from the stamps alone, s."""
+        """The uncertainty of the time offset from the timestamps alone, s."""
         stamps = self.reference.stamps
         return float(np.hypot(0.0 if stamps is None else stamps.offset_std_s, self.step_std_s))
 
@@ -116,7 +116,7 @@ def resolve_times(
 def _best_candidate(
     samples: GyroSamples, references: list[AttitudeReference], band_hz: float
 ) -> _Candidate:
-    """Return the fit of the smoothest times, or of others that are clearly better."""
+    """Return the fit of the smoothest times, or of other times that are clearly better."""
     best = smoothest = _fit_drift(samples, references[0], band_hz)
     correction_s = smoothest.reference.time_s - references[0].time_s
     for reference in references[1:]:
@@ -143,7 +143,7 @@ def _log_variance(linearised: LinearisedModel) -> float:
 
 
 def no_overlap() -> InputError:
-    """Return the error of a gyro and attitudes without a common stretch."""
+    """Return the error of a gyro and attitudes without common times."""
     return InputError(
         "the gyroscope's samples and the reference attitudes do not overlap in time",
         "record the board and the attitudes together for at least a few seconds",
@@ -159,7 +159,7 @@ def _fit_drift(
 ) -> _Candidate:
     """Fit one reference, and correct its times until the residual shows no drift.
 
-    With `keep_sawtooth`, only the line and the steps beside a saw-tooth are corrected.
+    With `keep_sawtooth`, only the line and the steps in addition to a saw-tooth are corrected.
     """
     for iteration in range(MAX_DRIFT_ITERATIONS):
         segments = match_segments(samples, reference)
@@ -200,7 +200,7 @@ def _corrected(attitudes: AttitudeReference, drift: LagDrift) -> AttitudeReferen
 
 
 def _stamp_drift(attitudes: AttitudeReference) -> LagDrift:
-    """Return the drift of the times of the fit relative to the recorded stamps."""
+    """Return the drift of the times of the fit relative to the recorded timestamps."""
     stamps = attitudes.stamps
     if stamps is None or stamps.stamp_s.size < MIN_STAMPS:
         return LagDrift(0.0, (), (), 0.0)

@@ -11,7 +11,7 @@ from gyrorig_solver.data import FloatArray
 from gyrorig_solver.estimate.attitude.attitude_fit import AttitudeFit
 from gyrorig_solver.model import RecordingContext, SignalState
 
-MAX_STEP_S = 0.01  # steps for functions of the rates: hand motion is slower
+MAX_STEP_S = 0.01  # steps for functions of the rates; hand motion is slower
 BLOCK_RATE_PER_BAND = 8.0  # block rate over the band
 MIN_SEGMENT_S = 2.0  # shorter segments have too few coefficients in the band
 
@@ -44,8 +44,8 @@ class BlockSegment:
     slope: FloatArray  # (blocks, 3), of the gyro by the lag
     time_s: FloatArray  # (blocks,)
     in_band_count: int  # coefficients in the band
-    solver_segment: int = 0  # the fit's number of it
-    # (blocks, 3), of the causes that the fit has taken out of the gyro's rates
+    solver_segment: int = 0  # number of this segment in the fit
+    # (blocks, 3), of the causes that the fit has subtracted from the gyro's rates
     effect: FloatArray | float = 0.0
 
     @property
@@ -63,7 +63,7 @@ class BlockSegment:
     ) -> FloatArray:
         """Return block means (blocks, 3) as means over steps of the reference, (n, 3).
 
-        The integral is interpolated, so that the mean of the steps of a block is the block's.
+        The integral is interpolated, so that the steps of a block have the same mean as the block.
         """
         edges_s = self.state.edges_s[:: self.state.instants_per_block]
         steps = np.diff(edges_s)[:, None]
@@ -72,7 +72,8 @@ class BlockSegment:
         first, last = (np.clip(t, edges_s[0], edges_s[-1]) for t in (begin_s, end_s))
         span_s = np.maximum(last - first, 1e-9)[:, None]
         means = (course(last) - course(first)) / span_s
-        outside = last - first < 0.5 * (end_s - begin_s)  # less than a block at the end
+        # less than half of the step is in the blocks
+        outside = last - first < 0.5 * (end_s - begin_s)
         means[outside] = effect[-1]
         return np.asarray(means, dtype=np.float64)
 

@@ -1,10 +1,10 @@
 """The drift between the clock of the reference attitudes and that of the gyro.
 
-A clock that is fast or slow, or that is set now and then, changes the time offset during the
+A clock that is fast or slow, or that is corrected at times, changes the time offset during the
 recording. The residual of a fit with one time offset shows it: the residual of each second,
-compared with the change of the rate, gives the error of the time offset in that second. A line
-(skew) with steps is fitted to these errors, and a line with a saw-tooth: equal steps at regular
-intervals, of a clock that drifts and is set right. The two models are compared.
+compared with the change of the rate, gives the error of the time offset in that second. Two models
+are fitted to these errors and compared. The first is a line (skew) with steps. The second is a line
+with a saw-tooth: equal steps at regular intervals, of a clock that drifts and is corrected.
 """
 
 from dataclasses import dataclass
@@ -16,11 +16,11 @@ from gyrorig_solver.estimate.attitude.attitude_solver import AttitudeSolver, inv
 from gyrorig_solver.estimate.attitude.lag_sawtooth import Sawtooth, WindowLags
 
 WINDOW_S = 1.0  # of one value of the time offset
-# Gains in chi-square: 12 for the slope is 1 in 2000 by chance. A step is looked for in every
-# window, and so needs more.
+# Gains in chi-square. For the slope, 12 has a probability of 1 in 2000 by chance. A step is
+# searched for in every window, and so needs a larger gain.
 MIN_SKEW_GAIN = 12.0
 MIN_STEP_GAIN = 30.0
-# A saw-tooth has two values more than a step, which are looked for in 10 000 pairs.
+# A saw-tooth has two values more than a step, which are searched for in 10 000 pairs.
 MIN_SAWTOOTH_GAIN = 40.0
 MAX_STEPS = 24
 MIN_WINDOWS_PER_STEP = 4  # of motion, on both sides
@@ -44,7 +44,7 @@ class LagDrift:
 
     @property
     def step_std_s(self) -> float:
-        """The uncertainty of the time offset, because the clocks step, s."""
+        """The uncertainty of the time offset from steps of the clocks, s."""
         tooth_s = 0.0 if self.sawtooth is None else self.sawtooth_rate * self.sawtooth.period_s
         return float(np.linalg.norm([*self.step_s, tooth_s])) / 2.0
 
@@ -58,7 +58,7 @@ class LagDrift:
         return np.asarray(correction_s, dtype=np.float64)
 
     def cuts(self, time_s: FloatArray) -> BoolArray:
-        """Return after which of the times a step follows, (n,)."""
+        """Return after which times a step follows, (n,)."""
         steps_s = list(self.step_time_s)
         if self.sawtooth is not None and time_s.size:
             steps_s += self.sawtooth.corrections_s(float(time_s[0]), float(time_s[-1]))
@@ -108,7 +108,7 @@ def fit_drift(time_s: FloatArray, lag_s: FloatArray, information: FloatArray) ->
     line = np.stack([np.ones(lags.time_s.size), lags.time_s - middle_s], axis=1)
     best = without = _fit_steps(lags, line)
     best_sawtooth: Sawtooth | None = None
-    # The largest step can be beside the saw-tooth, or one of its corrections.
+    # The largest step can be in addition to the saw-tooth, or one of its corrections.
     for count in range(1 + min(len(without.step_windows), 1)):
         sawtooth = lags.fit_sawtooth(without.basis[:, : 2 + count])
         if sawtooth is None:
@@ -122,7 +122,7 @@ def fit_drift(time_s: FloatArray, lag_s: FloatArray, information: FloatArray) ->
 
 
 def _fit_steps(lags: WindowLags, basis: FloatArray) -> _StepModel:
-    """Return the given functions with all steps that are significant, one after the other."""
+    """Return the given functions with all significant steps, which are added in sequence."""
     root = np.sqrt(lags.information)
     steps: list[int] = []
     while True:
@@ -196,7 +196,7 @@ def _dispersion(residual: FloatArray, root: FloatArray) -> float:
 def _best_step(basis: FloatArray, residual: FloatArray, root: FloatArray) -> tuple[float, int]:
     """Return the largest gain of one more step, and the first window after it."""
     weight = root**2
-    # Sums over all windows from each one on.
+    # Sums from each window to the last one.
     score = np.cumsum((weight * residual)[::-1])[::-1]
     power = np.cumsum(weight[::-1])[::-1]
     cross = np.cumsum((weight[:, None] * basis)[::-1], axis=0)[::-1]

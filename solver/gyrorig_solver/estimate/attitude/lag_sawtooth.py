@@ -1,7 +1,7 @@
-"""The saw-tooth of a clock that drifts and is set right at regular intervals, by the lag by time.
+"""Saw-tooth of a clock that drifts and is corrected at regular intervals, from the lag over time.
 
-What to use when: `fit_sawtooth` for the period and the phase that fit the errors of the time
-offset in windows best, in addition to other functions of time.
+What to use when: `fit_sawtooth` for the period and the phase that fit the errors of the time offset
+in windows best, in addition to other functions of time.
 """
 
 from dataclasses import dataclass
@@ -14,10 +14,10 @@ MAX_TEETH = 20.0  # in a recording
 MIN_TEETH = 1.0  # with fewer, a line with a step is as good
 MIN_CORRECTIONS = 2  # in a recording
 MIN_WINDOWS_PER_TOOTH = 4.0
-TEETH_STEP = 0.1  # of the search: a correction is a tenth of a period off
+TEETH_STEP = 0.1  # of the search: a correction is wrong by a tenth of a period
 PHASES = 16
 REFINEMENTS, STEPS_PER_SIDE = 5, 4
-MIN_REMAINING = 1e-3  # of the energy, after the other functions
+MIN_REMAINING = 1e-3  # of the energy, after the other functions are removed
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,7 +62,7 @@ class WindowLags:
         return np.asarray(period_s * (mean - 0.5), dtype=np.float64)
 
     def fit_sawtooth(self, basis: FloatArray) -> Sawtooth | None:
-        """Return the saw-tooth that fits best beside other functions; None for too few windows.
+        """Return the best-fitting saw-tooth in addition to other functions; None with few windows.
 
         Args:
             basis: the other functions, whose sizes are free, shape (n, k).
@@ -73,7 +73,7 @@ class WindowLags:
         middle_s = float(self.time_s[0]) + 0.5 * length_s
         for teeth in np.arange(MIN_TEETH, most, TEETH_STEP):
             period_s = length_s / float(teeth)
-            # The correction next to the middle: its time hardly depends on the period.
+            # The correction nearest to the middle; its time hardly depends on the period.
             search.try_times(period_s, middle_s + period_s * (np.arange(PHASES) / PHASES - 0.5))
         teeth_step, phase_step = TEETH_STEP, 1.0 / PHASES
         sides = np.arange(-STEPS_PER_SIDE, STEPS_PER_SIDE + 1) / STEPS_PER_SIDE
@@ -88,7 +88,7 @@ class WindowLags:
 
 
 class _SawtoothSearch:
-    """The best saw-tooth so far, beside other functions whose sizes are free."""
+    """The best saw-tooth so far, in addition to other functions with free sizes."""
 
     def __init__(self, lags: WindowLags, basis: FloatArray) -> None:
         """Start without a saw-tooth; `basis`: the other functions, (n, k)."""

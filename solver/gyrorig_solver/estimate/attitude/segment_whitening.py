@@ -1,7 +1,7 @@
 """Whitening of the segments of a fit to reference attitudes.
 
 The density of the noise is a smooth model times correction factors in bins, both from the residual.
-The noise of a camera grows with the motion, so that the local scatter weights each moment.
+The noise of a camera grows with the motion, so the local scatter weights each instant.
 """
 
 from collections.abc import Sequence
@@ -25,7 +25,7 @@ SCATTER_WINDOW_S, MIN_SCATTER_VALUES = (
     5.0,
     40,
 )  # window of the local scatter, and its minimum length
-MIN_SCATTER = 0.3  # relative to the mean: a smaller local scatter is chance
+MIN_SCATTER = 0.3  # relative to the mean; a smaller local scatter is random
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -33,7 +33,7 @@ class SegmentWhitener:
     """Whitens one segment and equalises its local scatter."""
 
     std: FloatArray  # (kept, 3), of each coefficient
-    scatter: FloatArray  # (kept,), of each moment, about 1
+    scatter: FloatArray  # (kept,), of each instant, about 1
 
     def whiten(self, signals: FloatArray) -> FloatArray:
         """Return signals (k, blocks, 3) in units of the noise, (k, 3 kept)."""
@@ -77,7 +77,7 @@ def build_whiteners(
     noise = fit_noise_levels(bin_spectrum(periodograms), sampling)
     power, smooth, frequency = [], [], []
     for segment in segments:
-        # The constant of a series represents all frequencies below its first coefficient.
+        # The constant of a series represents all frequencies below that of its first coefficient.
         f = (
             np.maximum(np.arange(segment.in_band_count), 0.5)
             * rate_hz

@@ -1,10 +1,11 @@
-"""The whitened normal equations of one series, without a dense Jacobian.
+"""Whitened normal equations of one series, without a dense Jacobian.
 
-Model of axis i: y_i = G_i . omega(t - tau) + b_i + terms + noise. Unknowns: G (9, row by row), b
-(3), tau, the terms' values and the reference's shared unknowns; and its local ones (one start per
-move), which are the sparse part of an `ArrowheadMatrix`. A long series is transformed in parts, and
-the constants of the parts once more. This too is an orthonormal transform, and its coefficients
-have the densities of the whole series at the same frequencies.
+Model of axis i: y_i = G_i . omega(t - tau) + b_i + terms + noise. The unknowns are G (9, row by
+row), b (3), tau, the terms' values and the reference's shared unknowns. In addition, the reference
+has local unknowns (one start per move), which are the sparse part of an `ArrowheadMatrix`. A long
+series is transformed in parts, and then the constants of the parts are transformed. This too is an
+orthonormal transform, and its coefficients have the densities of the whole series at the same
+frequencies.
 """
 
 from collections.abc import Sequence
@@ -132,7 +133,7 @@ class CachedNormalEquations:
     noise: NoiseModel
 
     def is_valid_for(self, noise: NoiseModel, relative_std: RelativeStd | None) -> bool:
-        """Return whether the weights of another noise are the same within a few percent."""
+        """Return whether another noise gives the same weights within a few percent."""
         if relative_std is not self.part.relative_std:
             return False
         n = self.part.std.shape[0]
@@ -150,7 +151,7 @@ def _score_of_residual(part: WhitenedPart, residual: FloatArray, local_count: in
     """Return a series' score for another residual, local unknowns first.
 
     Args:
-        part: the whole series, whitened before.
+        part: the whole series, already whitened.
         residual: shape (n, 3).
         local_count: number of local unknowns of the reference.
     """
@@ -185,11 +186,11 @@ def _cross_products(part: WhitenedPart, size: int) -> FloatArray:
 def stack_boards(
     boards: Sequence[NormalEquations], parameter_counts: Sequence[int]
 ) -> NormalEquations:
-    """Return one recording's equations over (local | each board's own, the unit's shared).
+    """Return one recording's equations over (local | each board's parameters, the unit's shared).
 
     Args:
-        boards: of each, over (local | own, shared), of the same local and shared unknowns.
-        parameter_counts: number of each board's own parameters.
+        boards: of each, over (local | the board's, shared), of the same local and shared unknowns.
+        parameter_counts: number of each board's parameters.
     """
     if len(boards) == 1:
         return boards[0]

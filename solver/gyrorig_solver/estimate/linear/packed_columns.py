@@ -22,7 +22,7 @@ class PackedColumns:
     scale: FloatArray  # (c,), equalises columns of different size in one row
     unknown_index: IntArray  # (c,), of the reference
     row: IntArray  # (c,)
-    first_interval: IntArray  # (c,), begin of its interval in the row
+    first_interval: IntArray  # (c,), beginning of its interval in the row
     stop_interval: IntArray  # (c,), end of that interval
 
     @property
@@ -38,7 +38,7 @@ class PackedColumns:
         Args:
             values: the rows on that grid, shape (rows, 3, n / intervals_per_interval).
             intervals_per_interval: intervals of this grid per interval of that grid.
-            reach_intervals: by how many of those intervals each column extends beyond its ends.
+            reach_intervals: number of those intervals by which each column extends beyond its ends.
         """
         n = values.shape[2]
         first = np.clip(self.first_interval // intervals_per_interval - reach_intervals, 0, n)
@@ -49,7 +49,7 @@ class PackedColumns:
 def pack_columns(
     columns: Sequence[LocalDerivative], length: int, gap_intervals: int
 ) -> PackedColumns:
-    """Pack columns into as few rows as leave `gap_intervals` between two columns of one row."""
+    """Pack columns into the fewest rows with `gap_intervals` between two columns of one row."""
     nonzero = [c for c in columns if c.values.shape[0] and c.values.any()]
     nonzero.sort(key=lambda column: column.first_interval)
     ends: list[int] = []
@@ -58,7 +58,7 @@ def pack_columns(
         free_rows = [
             k for k, end in enumerate(ends) if end + gap_intervals <= column.first_interval
         ]
-        # The row that ended first, so that neighbours stay far apart.
+        # Use the row that ended first, so that neighbours stay far apart.
         row = min(free_rows, key=ends.__getitem__) if free_rows else len(ends)
         if row == len(ends):
             ends.append(0)
@@ -87,8 +87,8 @@ def column_products(
 ) -> tuple[IntArray, IntArray, FloatArray]:
     """Return the inner products of all pairs of columns whose intervals overlap.
 
-    Each column is its own interval of its whitened row and zero elsewhere. The truncated matrix is
-    therefore still one of inner products, and positive semidefinite.
+    Each column is an interval of its whitened row and zero elsewhere. The truncated matrix is
+    therefore still a matrix of inner products, and positive semidefinite.
 
     Args:
         packed: the columns.

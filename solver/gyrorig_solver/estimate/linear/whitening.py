@@ -1,12 +1,12 @@
 """Whitening: the derivatives of one part of a series in units of the noise.
 
 The weight matrix is V_i^-1 = D' diag(1/variance_i) D with D the orthonormal DCT. Derivatives that
-act all the time are whitened as spectra, local derivatives as signals. If the noise is larger in
+act at all times are whitened as spectra, local derivatives as signals. If the noise is larger in
 motion, the whitened signals are then divided by its relative standard deviation: see
 `relative_std`.
 
 What to use when: `PartModel` for derivatives as block means; `WhitenedPart.of` for the same at a
-gain and a noise; its `local_score` alone if a later iteration changes only the residual.
+gain and a noise; only its `local_score` if a later iteration changes only the residual.
 """
 
 from collections.abc import Sequence
@@ -35,7 +35,7 @@ class PartModel:
     cause_derivatives: FloatArray  # (k, n, 3), by the terms' values, sensor frame
     columns: PartDerivatives
     pass_through: PassThrough | None = None  # of clipping causes
-    relative_std: RelativeStd | None = None  # of the noise; None: the same everywhere
+    relative_std: RelativeStd | None = None  # of the noise; None: the same at all times
     _cache: dict[str, FloatArray] = field(default_factory=dict)
 
     def derivative_spectra(self) -> FloatArray:
@@ -126,7 +126,7 @@ class WhitenedPart:
         spectra, packed = part.derivative_spectra(), part.columns.packed
         shared_count = part.columns.shared.shape[0]
         columns = np.empty((3, 5 + len(spectra[7 + 3 * shared_count :]) // 3 + shared_count, n))
-        for axis in range(3):  # one axis at a time: these are the largest arrays of a fit
+        for axis in range(3):  # one axis at a time, because these are the largest arrays of a fit
             spectra_of_axis = (
                 _axis_columns(spectra, gain[axis], axis, shared_count)
                 if part.pass_through is None
@@ -190,7 +190,7 @@ def _axis_columns(
 
 
 def _clipped_axis_columns(part: PartModel, gain: FloatArray, axis: int) -> FloatArray:
-    """Return the same as `_axis_columns`, of the rates that clipping causes let pass."""
+    """Return the same as `_axis_columns`, of the rates that pass the clipping causes."""
     base = part.base_derivatives(gain)[
         [3 * axis, 3 * axis + 1, 3 * axis + 2, 9 + axis, 12], :, axis
     ]
@@ -210,7 +210,7 @@ def whiten_residual(
     Args:
         residuals: of its parts, shape (n_p, 3) each.
         noise: its density.
-        relative_std: of the noise, shape (n, 3); None if it is the same everywhere.
+        relative_std: of the noise, shape (n, 3); None if it is the same at all times.
     """
     whitened_parts = []
     for residual in residuals:

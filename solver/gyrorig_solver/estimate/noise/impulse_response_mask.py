@@ -1,8 +1,8 @@
 """Impulses of the rig, separated from glitches of the stream by the filter's impulse response.
 
-A step that the motor loses, or a base that twists as the head starts and stops, is over in a
-moment. In the residual it looks like a corrupt word. But it has passed through the sensor's
-low-pass, turns about the axis that moves, and affects several samples in the exact ratio of the
+A step that the motor loses, or a base that twists when the head starts and stops, lasts only
+milliseconds. In the residual it looks like a corrupt word. But it has passed through the sensor's
+low-pass, turns about the moving axis, and affects several samples in the exact ratio of the
 filter's response. A glitch does so only by chance.
 
 What to use when: `impulse_response_mask` for the rows that `find_outliers` would exclude.
@@ -16,11 +16,12 @@ import numpy as np
 from gyrorig_solver.data import BoolArray, FloatArray, IntArray
 
 ROWS_BEFORE, ROWS_AFTER = 2, 4  # rows before and after the outliers
-MAX_GROUP_ROWS = 6  # consecutive outliers: more are not an impulse
+MAX_GROUP_ROWS = 6  # consecutive outliers; a longer group is not an impulse
 PHASES_PER_SAMPLE = 40  # start times per sample
 EARLIEST_SAMPLES = 4  # samples before the first outlier
-MAX_RESIDUAL_PER_VALUE = 2.5  # variances: a larger residual is not an impulse
-MAX_RESIDUAL_SHARE = 0.01  # of the energy: a low-pass whose bandwidth is a tenth off leaves it
+MAX_RESIDUAL_PER_VALUE = 2.5  # variances; an impulse has a smaller residual
+# of the energy, which a low-pass with a bandwidth error of a tenth leaves as residual
+MAX_RESIDUAL_SHARE = 0.01
 MIN_IMPROVEMENT = 10.0  # variances: improvement over one corrupt word
 MIN_INDEPENDENT_SHARE = 1e-9  # of a response that another one does not contain
 _MIN_ANGLE_STEP_RAD = 1e-9  # per sample
@@ -64,7 +65,7 @@ def impulse_response_mask(
 
     Args:
         residual: of every sample, shape (n, 3).
-        outlier: rows that stand out, shape (n,).
+        outlier: rows with outliers, shape (n,).
         time_s: of the samples, corrected for the lag behind the motion, shape (n,).
         axes: pan and tilt.
         bandwidth_hz: of the low-pass.

@@ -5,12 +5,13 @@ that at rest, is
 
     v = 1 + c_0 m + c_1 m_pan + c_2 m_tilt + c_3 (s_pan / S_pan)^2 + c_4 (s_tilt / S_tilt)^2
 
-with m = 1 in motion, m_pan and m_tilt the same of one axis, s the speed and S the largest speed.
-No c is negative. Noise must not explain what the rig does: causes are smooth, or they act at the
-starts and stops of moves. Therefore only two parts of the residual are used: frequencies near
-the sensor's bandwidth, and samples at rest or at a constant speed, some time after the last change
-of speed. If a program has hardly any constant speeds, constant accelerations count as well. v stays
-exactly 1 unless their excess is significant. If all samples agree, they give v more accurately.
+with m = 1 in motion, m_pan and m_tilt the same of one axis, s the speed and S the largest speed. No
+c is negative. Noise must not explain effects of the rig: causes are smooth, or they act at the
+starts and stops of moves. Therefore only a part of the residual is used. Its frequencies are near
+the sensor's bandwidth. Its samples are at rest or at a constant speed, some time after the last
+change of speed. If a program has hardly any constant speeds, constant accelerations are used as
+well. v stays exactly 1 unless the excess of this part is significant. If all samples agree with it,
+they are used, because they give v more accurately.
 
 What to use when: `estimate_motion_noise` at a converged fit; `relative_variance` for the weights.
 """
@@ -31,13 +32,15 @@ from gyrorig_solver.estimate.noise.noise_model import (
 )
 from gyrorig_solver.numerics import normal_quantile
 
-FALSE_ALARM = 1e-4  # probability of an excess in a recording whose noise has none
+FALSE_ALARM = 1e-4  # probability of an excess in a recording without noise in motion
 MIN_EXCESS = 0.05  # relative variance: a smaller excess changes a standard deviation by 2 %
 MIN_VALUES = 100.0  # independent values at rest and in motion
 MOVING_RAD_S = 0.003  # of one axis
-STEADY_RAD_S2 = 0.05  # a smaller acceleration, or change of it from sample to sample, is none
-MIN_CONSTANT_SPEED_SHARE = 0.2  # of the samples in motion; with fewer, accelerations count as well
-LEAD_TIME_S = 0.1  # before a change of speed: the low-pass and the reference's uncertainty
+# a smaller acceleration, or change of it from sample to sample, counts as zero
+STEADY_RAD_S2 = 0.05
+# of the samples in motion; with fewer, constant accelerations are used as well
+MIN_CONSTANT_SPEED_SHARE = 0.2
+LEAD_TIME_S = 0.1  # before a change of speed, for the low-pass and the reference's uncertainty
 AGREEMENT_SIGMA = 2.0  # between all samples and those at constant speed
 SHAPES = 5
 MAX_ROWS = 1 << 19  # of a long recording
@@ -116,7 +119,7 @@ def estimate_motion_noise(
     significant = strict.significant_axes()
     if not significant.any():
         return None
-    # All samples give a smaller uncertainty. They count if a cause does not add to them.
+    # All samples give a smaller uncertainty. They are used if no cause contributes to them.
     everything = _Squares.collect(series, noise, _EVERYTHING)
     coefficients = np.zeros((3, SHAPES))
     for axis in np.flatnonzero(significant).tolist():
@@ -128,10 +131,10 @@ def estimate_motion_noise(
 
 @dataclass(frozen=True, slots=True)
 class _Selection:
-    """Which part of the residual is used."""
+    """The part of the residual that is used."""
 
-    lower_share: float  # lower limit of the band, of the upper one
-    ends_at_bandwidth: bool  # or at the Nyquist frequency
+    lower_share: float  # lower limit of the band, relative to the upper one
+    ends_at_bandwidth: bool  # otherwise at the Nyquist frequency
     only_steady: bool
 
 
@@ -146,7 +149,7 @@ class _Squares:
     squares: FloatArray  # (m, 3), mean 1 if the noise is the model's
     shapes: FloatArray  # (m, 5), zero at rest
     max_speed_rad_s: FloatArray  # (2,)
-    std: float  # of a ratio of means in motion and at rest that is 1
+    std: float  # of the ratio of the means in motion and at rest if the noise is equal
 
     @classmethod
     def collect(
@@ -186,7 +189,7 @@ class _Squares:
     def significant_axes(self) -> BoolArray:
         """Return which sensor axes have a significant excess in motion, (3,).
 
-        Vibration acts on all axes. Their mean excess is tested, and that of each axis.
+        Vibration acts on all axes. The test uses their mean excess, and the excess of each axis.
         """
         excess = np.array([self.variance_ratio(axis) - 1.0 for axis in range(3)])
         limit = normal_quantile(FALSE_ALARM / (1 + excess.size)) * self.std
@@ -228,7 +231,7 @@ def _fit_variance(squares: FloatArray, shapes: FloatArray) -> FloatArray:
         variance = 1.0 + shapes @ coefficients
         clipped = np.minimum(squares, CLIP_SIGMA**2 * variance) / CLIPPED_MEAN
         both = np.column_stack([shapes, clipped - 1.0]) / variance[:, None]
-        # The triangle of the QR decomposition has the same solution, with few rows.
+        # The triangle of the QR decomposition has few rows and gives the same solution.
         triangle = np.asarray(np.linalg.qr(both, mode="r"))
         coefficients = np.asarray(nnls(triangle[:, :-1], triangle[:, -1])[0])
     return coefficients
@@ -260,7 +263,7 @@ def steady_mask(
     Args:
         speed_rad_s: of pan and tilt, shape (n, 2).
         rate_hz: of the samples.
-        constant_acceleration: only changes of acceleration count.
+        constant_acceleration: only changes of acceleration count, not of speed.
     """
     n = speed_rad_s.shape[0]
     acceleration = np.diff(speed_rad_s, axis=0, append=speed_rad_s[-1:]) * rate_hz

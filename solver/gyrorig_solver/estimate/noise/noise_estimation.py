@@ -1,4 +1,4 @@
-"""Periodograms for the noise estimate: rests above a frequency, the whole residual below it.
+"""Periodograms for the noise estimate: of rests above a frequency, of the whole residual below it.
 
 Unmodelled motion would look like noise. If there are enough rests, the frequencies that they
 resolve come from the rests only.
@@ -17,7 +17,7 @@ MIN_SPECTRUM_BLOCKS = 256  # blocks
 MIN_REST_S, MIN_TOTAL_REST_S = (
     4.0,
     20.0,
-)  # the shortest rest with a spectrum, and how much rest is enough
+)  # the shortest rest with a spectrum, and the sufficient total rest
 MIN_PERIODS = 2.0  # of the lowest frequency in a rest
 SETTLING_TIME_S = 0.3  # after a move
 
@@ -43,7 +43,7 @@ class ResidualSegment:
 def noise_periodograms(
     segments: Sequence[ResidualSegment], rate_hz: float
 ) -> tuple[list[Periodogram], str]:
-    """Return the residual's periodograms, and a description of the part of the recording they use.
+    """Return the residual's periodograms, and a description of the part of the recording used.
 
     Args:
         segments: of one recording.
@@ -83,7 +83,7 @@ def resting_blocks(used: BoolArray, moving: BoolArray, rate_hz: float) -> BoolAr
 
 
 def _runs(mask: BoolArray, min_length: int) -> list[slice]:
-    """Return where a mask holds for at least `min_length` rows; long runs in parts."""
+    """Return where a mask is True for at least `min_length` rows; long runs in parts."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0], mask.astype(np.int8), [0]])))
     runs = []
     for begin, end in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):

@@ -1,16 +1,16 @@
-"""A noise floor that arises behind the sensor's low-pass.
+"""A noise floor that arises after the sensor's low-pass.
 
-The electronics behind the low-pass add noise that is equal at all frequencies, as quantisation is.
-Above the cut-off it can be larger than the noise that passed the filter. Without it in the model,
-the residual has too much power there, and a spectral line, jitter of the samples or noise of the
-motors would be named instead. A recording has a floor in its model only if
+The electronics after the low-pass add noise that is equal at all frequencies, like quantisation.
+Above the cut-off, it can be larger than the noise that passed the filter. Without it in the model,
+the residual has too much power there. The search would then name a spectral line, jitter of the
+samples or noise of the motors. A recording has a floor in its model only if
 
- * the likelihood of the spectra of all axes together rises by more than `MIN_GAIN_NATS`, and
+ * the likelihood of the spectra of all axes together increases by more than `MIN_GAIN_NATS`, and
  * each floor is smaller than the white noise in the pass band, and
  * the noise at rest does not contradict it. Jitter also adds noise at all frequencies, but only in
    motion. Third differences of successive samples weight the highest frequencies most.
 
-What to use when: `add_noise_floor` for levels that were fitted without it.
+What to use when: `add_noise_floor` for levels that were fitted without a floor.
 """
 
 from dataclasses import replace
@@ -29,7 +29,7 @@ from gyrorig_solver.estimate.noise.rest_noise import MIN_PAIRS, RestDifferences
 # Chi-square 16 for three sizes: one false floor in 900 recordings.
 MIN_GAIN_NATS = 8.0
 NOMINAL_SHARE = 0.05  # centre of the prior, relative to the white noise in the pass band
-# Of the white noise in the pass band. A larger floor is a low-pass that the sensor does not have.
+# Relative to the white noise in the pass band; a larger floor would mean another low-pass.
 MAX_SHARE = 1.0
 DIFFERENCE_ORDER = 3
 # Variance of the logarithm of the power of third differences of white noise, times their number;
@@ -41,7 +41,7 @@ CONTRADICTION_SIGMA = 3.0
 def add_noise_floor(
     noise: NoiseModel, spectrum: Spectrum, differences: RestDifferences
 ) -> NoiseModel:
-    """Return the noise with a floor if the data show one, the levels fitted with it.
+    """Return the noise with a floor if the data show one, with the levels fitted again.
 
     Args:
         noise: fitted to the spectrum, without a floor.

@@ -6,12 +6,12 @@ One-sided density of one axis, (rad/s)^2/Hz:
 
 N is the noise density as in data sheets (rms = N sqrt(bandwidth)), W the sensor's low-pass
 including all aliases of sampling and block means, B the bias instability (Allan floor 0.664 B) and
-K the rate random walk (variance grows as K^2 t), both as in IEEE Std 952, annex C, whose densities
-are two-sided. D is the white angle noise of a differentiated attitude reference, F a noise floor
-that arises behind the low-pass (see `noise_floor`), and q the quantisation density LSB^2/6 over the
-sample rate. In the orthonormal DCT-II of a uniform series at rate r, coefficient k belongs to f = k
-r/(2n) and has variance S(f) r/2. The transform makes a random walk nearly diagonal, so weighting by
-1/variance whitens it.
+K the rate random walk (variance grows as K^2 t). B and K are defined as in IEEE Std 952, annex C,
+whose densities are two-sided. D is the white angle noise of a differentiated attitude reference, F
+a noise floor that arises after the low-pass (see `noise_floor`), and q the quantisation density
+LSB^2/6 over the sample rate. In the orthonormal DCT-II of a uniform series at rate r, coefficient k
+belongs to f = k r/(2n) and has variance S(f) r/2. The transform makes a random walk nearly
+diagonal, so weighting by 1/variance whitens it.
 """
 
 from collections.abc import Sequence
@@ -35,7 +35,7 @@ MAX_LOG_STEP, MAX_LOG_LEVEL = 3.0, 30.0
 
 @dataclass(frozen=True, slots=True)
 class Sampling:
-    """How the uniform series was sampled."""
+    """The sampling of the uniform series."""
 
     rate_hz: float  # of the series (of block means)
     samples_per_block: int  # samples per block mean
@@ -52,7 +52,7 @@ def dct_frequencies_hz(n: int, rate_hz: float) -> FloatArray:
 def unit_densities(frequency_hz: FloatArray, sampling: Sampling) -> FloatArray:
     """Return the density of each process at unit level, shape (4, k): N, B, K, D."""
     omega = 2.0 * np.pi * frequency_hz
-    # The constant has no 1/f part: the bias is the mean over the recording.
+    # The constant has no 1/f part, because the bias is the mean over the recording.
     inverse = np.divide(1.0, omega, out=np.zeros_like(omega), where=omega > 0.0)
     return np.stack(
         [
@@ -107,7 +107,7 @@ class NoiseModel:
         return np.asarray(unit_density.T @ self.levels.T + self.flat_density)
 
     def density_of_bins(self, spectrum: "Spectrum") -> FloatArray:
-        """Return the density that is expected in a spectrum's bins, shape (k, 3)."""
+        """Return the expected density in a spectrum's bins, shape (k, 3)."""
         return self.density_with(spectrum.frequency_hz, spectrum.white_power)
 
     def density_with(self, frequency_hz: FloatArray, white_power: FloatArray | None) -> FloatArray:
@@ -132,7 +132,7 @@ class NoiseModel:
 
 @lru_cache(maxsize=16)
 def _dct_unit_densities(n: int, sampling: Sampling) -> FloatArray:
-    """Return the unit densities at a series' DCT frequencies; every iteration needs the same."""
+    """Return the unit densities at a series' DCT frequencies, cached for all iterations."""
     densities = unit_densities(dct_frequencies_hz(n, sampling.rate_hz), sampling)
     densities.flags.writeable = False
     return densities
@@ -169,7 +169,7 @@ class Periodogram:
         Args:
             residual: zero where unused.
             rate_hz: of the residual.
-            used_share: of the blocks; the power is scaled up for the missing ones.
+            used_share: of the blocks; the power is scaled up for the missing blocks.
             white_power: mean white noise of the blocks relative to that at rest, shape (3,).
         """
         n = residual.shape[0]
@@ -223,7 +223,7 @@ def fit_noise_levels(
     """Estimate the levels by Whittle's likelihood: sum of count x (log S + P/S)/2 per bin.
 
     Weak log-normal priors (a factor of e^3) keep processes that a short recording does not show
-    near their usual levels, so that no level goes to zero or infinity.
+    near their usual levels, so that no level becomes zero or infinite.
 
     Args:
         spectrum: of the residual.

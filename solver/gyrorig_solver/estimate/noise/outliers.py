@@ -4,9 +4,9 @@ import numpy as np
 
 from gyrorig_solver.data import BoolArray, FloatArray
 
-OUTLIER_SIGMA = 6.0  # the noise of the model hardly ever reaches this
+OUTLIER_SIGMA = 6.0  # the noise of the model very rarely reaches this
 MAX_SAMPLES_FOR_SPREAD = 8192  # samples for the standard deviation
-NEIGHBOURS_PER_SIDE = 4  # a glitch of up to four samples stands out among nine
+NEIGHBOURS_PER_SIDE = 4  # a glitch of up to four samples is visible among nine
 GROSS_FACTOR = 8.0  # times the limit: 48 standard deviations
 MIN_INLIERS = 3
 
@@ -14,7 +14,7 @@ MIN_INLIERS = 3
 def find_outliers(residual: FloatArray, use: BoolArray, quantum_rad_s: float) -> BoolArray:
     """Return which rows are outliers: far from all rows, and far from their neighbours.
 
-    A wrong start or a wrong model leaves a residual that is smooth over several samples. Such rows
+    A wrong start or a wrong model causes a residual that is smooth over several samples. Such rows
     are kept, because excluding them would hide the error.
     """
     median, deviation = robust_spread(residual, use, quantum_rad_s)
@@ -23,7 +23,7 @@ def find_outliers(residual: FloatArray, use: BoolArray, quantum_rad_s: float) ->
     if not outlier.any():
         return outlier
     outlier_rows = np.flatnonzero(outlier)
-    # At the ends the window moves inwards and keeps its length.
+    # At the ends, the window moves inwards and keeps its length.
     window_begin = np.clip(
         outlier_rows - NEIGHBOURS_PER_SIDE,
         0,
@@ -33,8 +33,8 @@ def find_outliers(residual: FloatArray, use: BoolArray, quantum_rad_s: float) ->
         window_begin[:, None] + np.arange(2 * NEIGHBOURS_PER_SIDE + 1), residual.shape[0] - 1
     )
     usable = use[neighbours]
-    # All neighbours count, so that a transient of the rig is kept. Beyond any transient only the
-    # inliers among the neighbours count, because glitches can come in pairs.
+    # All neighbours count, so that a transient of the rig is kept. For an error larger than any
+    # transient, only the inliers among the neighbours count, because glitches can come in pairs.
     gross = (np.abs(residual[outlier_rows] - median) > GROSS_FACTOR * limit).any(axis=1)
     inlier = usable & ~outlier[neighbours]
     has_enough_inliers = inlier.sum(axis=1) >= MIN_INLIERS

@@ -1,8 +1,8 @@
-"""The relative standard deviation of noise that is larger in motion, in the whitening.
+"""Relative standard deviation, in the whitening, of noise that is larger in motion.
 
-A signal is whitened by the stationary noise at rest first, and divided by the relative standard
-deviation of the noise at its time then. For white noise this is exact. Slow noise (flicker, random
-walk) is removed by the stationary whitening, so that it stays the same at rest and in motion.
+A signal is first whitened by the stationary noise at rest, and then divided by the relative
+standard deviation of the noise at its time. For white noise this is exact. The stationary whitening
+removes slow noise (flicker, random walk), so slow noise stays the same at rest and in motion.
 """
 
 from collections.abc import Sequence
@@ -20,14 +20,14 @@ MAX_LOG_WEIGHT_CHANGE = 0.03  # of a variance; smaller changes keep the old weig
 class RelativeStd:
     """The standard deviation of one part's noise, relative to that at rest.
 
-    The constants of a series with several parts are weighted together. They are kept as they are.
+    The constants of a series with several parts are weighted together and are not divided.
     """
 
     values: FloatArray  # (3, n)
-    keeps_constant: bool  # the series has several parts
+    keeps_constant: bool  # True if the series has several parts
 
     def divide_spectra(self, spectra: FloatArray, axis: int | IntArray | None = None) -> FloatArray:
-        """Return white spectra after their signals are divided.
+        """Return white spectra after the division of their signals.
 
         Args:
             spectra: shape (k, n) of one sensor axis, or (..., 3, n).

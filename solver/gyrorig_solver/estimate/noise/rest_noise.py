@@ -1,10 +1,10 @@
 """The noise at rest as a check of the fitted noise levels.
 
-A large unmodelled effect raises the residual in motion. In recordings with short rests the levels
-are fitted to the whole residual, so that such an effect becomes flicker, and the white noise
-disappears. Differences of successive samples at rest have neither.
+A large unmodelled effect increases the residual in motion. In recordings with short rests, the
+levels are fitted to the whole residual. Such an effect then becomes flicker, and the white noise
+disappears. Differences of successive samples at rest contain neither.
 
-What to use when: `difference_power` of the residuals; `limit_to_rest` for fitted levels.
+What to use when: `RestDifferences.of` for the residuals; `limit_to_rest` for fitted levels.
 """
 
 from collections.abc import Sequence
@@ -23,7 +23,8 @@ from gyrorig_solver.estimate.noise.noise_model import (
 )
 
 MIN_PAIRS = 200  # of successive samples at rest
-MAX_POWER_RATIO = 4.0  # of the fitted white noise and that at rest, either way
+# larger of the ratios of the fitted white noise and that at rest, and its inverse
+MAX_POWER_RATIO = 4.0
 FREQUENCY_BINS = 500
 
 
@@ -68,9 +69,9 @@ class RestDifferences:
 
 
 def limit_to_rest(noise: NoiseModel, differences: RestDifferences) -> NoiseModel:
-    """Return the noise; where it contradicts the noise at rest, that of an ordinary part.
+    """Return the noise; if it contradicts the noise at rest, use the levels of an ordinary part.
 
-    An axis contradicts if its fitted white noise differs from that at rest by more than
+    An axis is contradictory if its fitted white noise differs from that at rest by more than
     `MAX_POWER_RATIO`. It then gets the white noise at rest, and the flicker and random walk of an
     ordinary part with this white noise.
 
@@ -81,7 +82,7 @@ def limit_to_rest(noise: NoiseModel, differences: RestDifferences) -> NoiseModel
     if differences.count < MIN_PAIRS or noise.sampling.differentiated:
         return noise
     nominal = nominal_levels(1.0)
-    nominal[3] = 0.0  # of attitudes only
+    nominal[3] = 0.0  # only for attitudes
     quantum_power = quantum_density(noise.sampling) * noise.sampling.rate_hz
     flat_power = quantum_power + noise.floor * noise.sampling.rate_hz
     unit_power = float(nominal @ _unit_difference_power(noise.sampling))

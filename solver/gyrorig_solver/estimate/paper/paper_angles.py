@@ -109,9 +109,9 @@ def composed_attitude(
 def euler_angles_rad(attitude: FloatArray) -> FloatArray:
     """Return the angles psi (about x), theta (about y), phi (about z) of eq. 11.
 
-    `atan` of two arguments is read as the four-quadrant function. The division of both arguments of
-    phi by cos(theta) has no effect, because theta is within a quarter turn. At a quarter turn it
-    divides by zero, so it is left out; `nearest_singularity` detects that case.
+    The text writes `atan` of two arguments; here it is the four-quadrant function. The division of
+    both arguments of phi by cos(theta) has no effect, because theta is within a quarter turn. At a
+    quarter turn it divides by zero, so it is left out; `nearest_singularity` detects that case.
 
     Args:
         attitude: rotation matrices, shape (n, 3, 3).
@@ -143,8 +143,8 @@ def mechanism_angles_rad(pan_rad: FloatArray, tilt_rad: FloatArray) -> FloatArra
 def ideal_integral_rad(pan_rad: FloatArray, tilt_rad: FloatArray) -> FloatArray:
     """Return the integral of a perfect, aligned gyro on the unit, shape (n, 3).
 
-    The stage turns at (tilt_rate, pan_rate sin tilt, pan_rate cos tilt). The integral of that
-    depends on the path and does not return with the unit: a geometric phase, not a drift.
+    The stage turns at (tilt_rate, pan_rate sin tilt, pan_rate cos tilt). The integral of this rate
+    depends on the path and is not zero when the unit returns: a geometric phase, not a drift.
     """
     pan_step, tilt_step = np.diff(pan_rad), np.diff(tilt_rad)
     middle_rad = 0.5 * (tilt_rad[1:] + tilt_rad[:-1])

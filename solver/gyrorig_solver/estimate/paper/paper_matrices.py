@@ -41,7 +41,7 @@ def gain_by_pseudoinverse(
     Args:
         Y_rad: measured angles, shape (3, n).
         U_rad: reference angles, shape (3, n).
-        smallest_rms_rad: a direction of u that moves by less counts as unexcited.
+        smallest_rms_rad: a direction of u with a smaller motion counts as unexcited.
 
     Returns:
         The gain and the rank of U. Below the tolerance max(3, n) eps s_1 of Matlab's `pinv`, which
@@ -65,7 +65,8 @@ def lower_factor(gain: FloatArray) -> FloatArray | None:
     product = gain @ gain.T
     values = np.linalg.eigvalsh(product)
     if not values[0] > 3.0 * np.finfo(np.float64).eps * values[-1]:
-        return None  # singular within rounding: `chol` stops, or returns a factor of rounding
+        # singular within rounding: `chol` fails, or returns a factor that is only rounding
+        return None
     return np.asarray(np.linalg.cholesky(product))
 
 

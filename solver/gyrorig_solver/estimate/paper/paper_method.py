@@ -1,11 +1,11 @@
-"""The paper's own calibration, eq. 6 to 12 as printed, and its failures.
+"""The calibration method of the paper, eq. 6 to 12 as printed, and its failures.
 
 What to use when: `calibrate_as_printed` runs the method on arrays and returns a `PaperResult` that
-names every step that is impossible or whose result is not what the paper states. `PaperReading`
-chooses between readings where the text allows several; the default is the printed one,
-`READING_OF_TABLE_3` the one whose result has the form of Table 3. The method is kept for comparison
-only: use the rate-domain estimator to calibrate a board. docs/paper.md describes which parameters
-the method can determine.
+names every step that is impossible or whose result contradicts the paper. `PaperReading` chooses
+between readings if the text allows several; the default is the printed one, `READING_OF_TABLE_3`
+the one whose result has the form of Table 3. The method is kept for comparison only: use the
+rate-domain estimator to calibrate a board. docs/paper.md describes which parameters the method can
+determine.
 """
 
 from collections.abc import Mapping
@@ -73,7 +73,7 @@ FAILURES: Final[Mapping[str, str]] = MappingProxyType(
 
 @dataclass(frozen=True, slots=True)
 class PaperReading:
-    """How the paper is interpreted where it is ambiguous; by default as printed."""
+    """The interpretation of the paper where it is ambiguous; by default as printed."""
 
     order: VectorOrder = "printed"  # eq. 6
     composition: angles.Composition = "printed"  # eq. 12
@@ -110,7 +110,7 @@ class PaperResult:
     T: FloatArray | None  # eq. 9
     M: FloatArray | None  # eq. 10
     composition_error_rad: FloatArray  # (3,), largest error of eq. 12 in the unit's x, y, z angle
-    integral_error_rad: FloatArray  # (3,), the same for a perfect gyro's integral
+    integral_error_rad: FloatArray  # (3,), the same for the integral of a perfect gyro
     failures: tuple[str, ...]  # keys of FAILURES, in the order of the equations
 
     @property
@@ -134,9 +134,9 @@ def calibrate_as_printed(
         time_s: increasing, shape (n,).
         rate_rad_s: counts times nominal scale, sensor frame, shape (n, 3).
         pan_rad: angle of the unit at the same times, shape (n,).
-        tilt_rad: likewise.
-        static: True in the static test, shape (n,). The quasi-static test is everything from the
-            first to the last sample outside it, including rests between moves.
+        tilt_rad: angle of the unit at the same times, shape (n,).
+        static: True in the static test, shape (n,). The quasi-static test consists of all samples
+            from the first to the last one outside the static test, including rests between moves.
         reading: of the text; by default as printed.
 
     Returns:

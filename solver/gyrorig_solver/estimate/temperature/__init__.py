@@ -1,7 +1,7 @@
 """The bias as a function of the temperature, from rests and from tables.
 
 What to use when: `BiasSeries` and `BiasTable` for the data, `fit_temperature` for the curve, and
-`measure_bias_change` for how much the bias moved, with or without a thermometer.
+`measure_bias_change` for the change of the bias, with or without a thermometer.
 """
 
 from gyrorig_solver.estimate.temperature.bias_change import BiasChange, measure_bias_change

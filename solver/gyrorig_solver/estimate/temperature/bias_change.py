@@ -1,4 +1,4 @@
-"""Changes of the bias in time: how much it moved during recordings at rest."""
+"""Changes of the bias over time during recordings at rest."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -9,9 +9,9 @@ from gyrorig_solver.data import BoolArray, FloatArray
 from gyrorig_solver.estimate.temperature.slow_noise import transform
 from gyrorig_solver.numerics import chi2_upper_tail
 
-SLOW_SHARE = 0.05  # of the frequencies: those of slow changes
+SLOW_SHARE = 0.05  # of the frequencies: the share of slow changes
 MIN_SLOW_ROWS = 3
-FALSE_ALARM = 1e-4  # of a change that is white noise
+FALSE_ALARM = 1e-4  # probability of a change that is only white noise
 MEDIAN_CHI2 = 0.4549364  # of a squared standard normal value
 
 
@@ -19,7 +19,7 @@ MEDIAN_CHI2 = 0.4549364  # of a squared standard normal value
 class BiasChange:
     """The change of the bias of each axis, beyond white noise."""
 
-    std: FloatArray  # (3,), rad/s, over the recordings; zero where it is not significant
+    std: FloatArray  # (3,), rad/s, over the recordings; zero if it is not significant
     p_value: FloatArray  # (3,)
 
     @property

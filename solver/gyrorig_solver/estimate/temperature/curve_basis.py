@@ -1,4 +1,4 @@
-"""Bases of the curve of a bias against the temperature: polynomials and cubic splines."""
+"""Bases of the curve of a bias over temperature: polynomials and cubic splines."""
 
 from dataclasses import dataclass
 
@@ -9,7 +9,7 @@ from gyrorig_solver.data.temperature_curve import CUBIC
 
 POLYNOMIAL_ORDERS = (1, 2, 3)
 SPLINE_KNOTS = (1, 2, 3, 5)  # equally spaced inside the range
-MIN_KNOT_DISTANCE_K = 4.0  # a finer structure is no property of a sensor
+MIN_KNOT_DISTANCE_K = 4.0  # a finer structure is not a property of a sensor
 MIN_POINTS_PER_COLUMN = 2  # points with different temperatures
 
 
@@ -43,12 +43,12 @@ class CurveBasis:
         return np.asarray(np.concatenate([powers, bends], axis=1), dtype=np.float64)
 
     def prior_std(self, amplitude: float) -> FloatArray:
-        """Return the prior standard deviations of the sizes, (size,), for an amplitude at ends."""
+        """Return the sizes' prior standard deviations, (size,), for an amplitude at the ends."""
         reach = np.maximum(np.abs(1.0 - self.knots), 0.1) ** CUBIC
         return np.asarray(amplitude / np.concatenate([np.ones(self.order), reach]), np.float64)
 
     def factors(self) -> FloatArray:
-        """Return what sizes are multiplied by to be coefficients per K^p, shape (size,)."""
+        """Return the factors that convert sizes to coefficients per K^p, shape (size,)."""
         powers = [*range(1, self.order + 1), *([CUBIC] * self.knots.size)]
         return np.asarray(self.half_range_k ** -np.array(powers, np.float64), np.float64)
 

@@ -2,11 +2,11 @@
 
 The windows of a recording are transformed by an orthonormal DCT, in which flicker and random walk
 are nearly uncorrelated (`estimate.noise.noise_model`). The levels of the noise are estimated from
-the residual of each model. A random walk of the bias therefore competes with the model, and is not
-taken for a dependence on the temperature.
+the residual of each model. A random walk of the bias therefore competes with the model, and does
+not look like a dependence on the temperature.
 
-The constant is the mean of each recording. Between recordings the bias also changes from one
-switch-on to the next. This change is estimated by restricted likelihood where there are several.
+The constant is the mean of each recording. The bias also changes from one power-on to the next. If
+there are several recordings, this change is estimated by restricted likelihood.
 
 What to use when: `SlowFit.solve` for one design.
 
@@ -35,17 +35,19 @@ from gyrorig_solver.estimate.noise.noise_model import (
 
 NOISE_ITERATIONS = 8
 LEVEL_TOLERANCE = 0.02  # relative change of the levels
-MAX_LEVERAGE = 0.95  # of a row; its residual says nothing about the noise
-RUN_GRID_POINTS = 60  # standard deviations between recordings, tried
-RUN_RANGE = (1e-3, 1e1)  # of them, relative to the scatter of the means
-INTERCEPT_STD = 10.0  # rad/s, prior of the constant: none
+# of a row; with a larger leverage, its residual has no information about the noise
+MAX_LEVERAGE = 0.95
+RUN_GRID_POINTS = 60  # number of standard deviations between recordings that are tried
+RUN_RANGE = (1e-3, 1e1)  # of these standard deviations, relative to the scatter of the means
+INTERCEPT_STD = 10.0  # rad/s, practically no prior of the constant
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SlowData:
     """Windows of recordings, and single values, ready for least squares."""
 
-    spectra: tuple[FloatArray, ...]  # (n - 1, 3), DCT coefficients of each recording, no constant
+    # (n - 1, 3), DCT coefficients of each recording, without the constant
+    spectra: tuple[FloatArray, ...]
     means: FloatArray  # (g, 3), of recordings, then single values
     mean_variance: FloatArray  # (g, 3), known part: of single values; zero for recordings
     counts: tuple[int, ...]  # windows of each recording
@@ -72,12 +74,12 @@ class SlowData:
 
     @property
     def sampling(self) -> Sampling:
-        """That of the windows."""
+        """The sampling of the windows."""
         return Sampling(self.rate_hz, 1, None, 0.0, False)
 
     @property
     def frequency_hz(self) -> FloatArray:
-        """Of all rows of the recordings, shape (rows,)."""
+        """The frequencies of all rows of the recordings, shape (rows,)."""
         parts = [dct_frequencies_hz(count, self.rate_hz)[1:] for count in self.counts]
         return np.concatenate(parts) if parts else np.zeros(0)
 
@@ -120,11 +122,11 @@ class SlowFit:
     covariance: FloatArray  # (3, q + 1, q + 1)
     noise: NoiseModel | None  # None without recordings
     run_std: FloatArray  # (3,), of the bias from one recording to the next
-    log_evidence: float  # nats, without the prior of what the caller profiles
+    log_evidence: float  # nats, without the prior of the parameters that the caller profiles
     log_likelihood: float  # nats
     residual: FloatArray  # (rows, 3)
     variance: FloatArray  # (rows, 3)
-    degrees: FloatArray  # (3,), effective ones of the noise that limits the sizes
+    degrees: FloatArray  # (3,), effective degrees of freedom of the noise that limits the sizes
 
     @classmethod
     def solve(
@@ -134,7 +136,7 @@ class SlowFit:
         rows = np.concatenate([np.zeros((0, 3)), *data.spectra])
         noise, residual = start, rows
         variance, leverage = np.ones_like(rows), np.zeros_like(rows)
-        # Without recordings the levels play no part.
+        # Without recordings, the levels are not used.
         for iteration in range(NOISE_ITERATIONS if len(rows) else 0):
             if noise is None or iteration:
                 previous = noise
@@ -171,7 +173,7 @@ def _fit_levels(
 def _regress(
     rows: FloatArray, design: SlowDesign, variance: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the residual and the leverage of each row, from the rows of recordings alone."""
+    """Return the residual and the leverage of each row, from only the rows of recordings."""
     residual, leverage = np.empty_like(rows), np.zeros_like(rows)
     prior = np.diag(design.prior_std**-2.0)
     for axis in range(3):
@@ -289,7 +291,7 @@ class _MeanRows:
             total = information + (self.design * weight[:, None]).T @ self.design
             right = vector + self.design.T @ (weight * self.values)
             sizes = np.linalg.solve(total, right)
-            # Completed square: of the means and of the other rows together.
+            # The completed square of the means and of the other rows together.
             square = float(np.sum(weight * self.values**2) - right @ sizes)
             nats = -0.5 * (float(np.sum(np.log(variance))) + square)
             restricted = nats - 0.5 * float(np.linalg.slogdet(total)[1])

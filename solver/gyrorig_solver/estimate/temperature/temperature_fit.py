@@ -1,11 +1,11 @@
-"""The curve of the bias against the temperature, with its order, the lag of the die and hysteresis.
+"""Curve of the bias over temperature, with its order, the lag of the die and hysteresis.
 
 Theory of operation. The bias of window k is c + f(T_die) + a h, where h is the state of a
 hysteresis between its branches (`bias_series.heating_state`), and T_die follows the thermometer
-with a lag (`model.board_temperature`). The noise is white noise, flicker and a random walk whose
-levels are estimated for each model (`slow_noise`), and of all curves the one with the largest
-evidence is used. The evidence of no dependence is computed in the same way, with the random walk
-that the data need then. A dependence is stated only if its evidence is larger by
+with a lag (`model.board_temperature`). The noise consists of white noise, flicker and a random
+walk, whose levels are estimated for each model (`slow_noise`). The curve with the largest evidence
+is used. The evidence of a model without dependence is computed in the same way, with the random
+walk that the data then need. A dependence is stated only if its evidence is larger by
 `MIN_EVIDENCE_NATS`.
 """
 
@@ -28,16 +28,16 @@ from gyrorig_solver.estimate.temperature.curve_basis import CurveBasis, candidat
 from gyrorig_solver.estimate.temperature.slow_noise import SlowData, SlowDesign, SlowFit
 from gyrorig_solver.numerics import chi2_upper_tail, student_factor
 
-MIN_SPAN_K = 2.0  # a smaller change of the temperature says nothing about a curve
+MIN_SPAN_K = 2.0  # a smaller change of the temperature does not determine a curve
 MIN_EVIDENCE_NATS = 5.0
 AMPLITUDE_STD = 0.05  # rad/s at the ends of the range: 20 deg/s over 125 K (MPU-6050)
 LOOP_STD = 0.005  # rad/s
 LAG_STD_S = 30.0  # between die and thermometer
 LAG_GRID_S = (0.0, 10.0, -10.0, 25.0, -25.0, 50.0, -50.0, 90.0, -90.0)
 LAG_REFINEMENTS = 3
-LAG_STEP_S = 2.0  # of the derivative with respect to the lag
+LAG_STEP_S = 2.0  # for the derivative with respect to the lag
 LOOP_FALSE_ALARM = 1e-3
-MAX_COMPLEX_WEIGHT = 0.3  # of all curves that are more complex than the chosen one
+MAX_COMPLEX_WEIGHT = 0.3  # of all curves that are more complex than the selected one
 POINT_BINS = 24  # of the temperature, for figures
 SPREAD_POINTS = 60  # temperatures at which curves are compared
 
@@ -50,7 +50,7 @@ class Hysteresis:
     std: FloatArray  # (3,)
     p_value: float
     is_fitted: bool  # whether it is significant and part of the model
-    loop_share: float  # of the span, in which the bias reaches its other branch
+    loop_share: float  # of the span, over which the bias reaches its other branch
     span_k: float
 
     def change(self, die_degc: FloatArray) -> FloatArray:
@@ -70,7 +70,7 @@ class BiasPoint:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TemperatureFit:
-    """The curve of a quantity of three axes against the temperature."""
+    """The curve of a quantity of three axes over temperature."""
 
     basis: CurveBasis
     curve: TemperatureCurve
@@ -79,8 +79,8 @@ class TemperatureFit:
     lag_s: float
     lag_std_s: float
     hysteresis: Hysteresis | None  # None: no recording heats and cools
-    run_std: FloatArray  # (3,), from one recording or row to the next; nan if it is one
-    evidence_nats: float  # of the curve against no dependence
+    run_std: FloatArray  # (3,), from one recording or row to the next; nan if there is only one
+    evidence_nats: float  # of the curve, relative to no dependence
     statistic: float  # twice the gain of the log-likelihood
     range_degc: tuple[float, float]
     points: tuple[BiasPoint, ...]  # of the data, for figures
@@ -106,11 +106,11 @@ class TemperatureFit:
 def fit_temperature(
     series: Sequence[BiasSeries], step_s: float = 1.0, table: BiasTable | None = None
 ) -> TemperatureFit | None:
-    """Fit the curve; None if the temperature does not change enough to say anything.
+    """Fit the curve; None if the temperature changes too little.
 
     Args:
         series: of the recordings, all with windows of the same length.
-        step_s: this length.
+        step_s: length of the windows.
         table: values without times.
     """
     problem = _Problem(tuple(series), step_s, table)
@@ -127,7 +127,7 @@ def fit_temperature(
     weights = _curve_weights(bases, fits)
     best = _choose(weights)
     basis, fit = bases[best], fits[best]
-    # Of the curve with the largest evidence: the chosen one can be more complex.
+    # Use the curve with the largest evidence, because the selected one can be more complex.
     evidence_nats = max(f.log_evidence for f in fits) - none.log_evidence
     spread = problem.spread_of_curves(basis, bases, fits, weights)
     hysteresis = None
@@ -157,7 +157,7 @@ def _curve_weights(bases: Sequence[CurveBasis], fits: Sequence[SlowFit]) -> Floa
 
 
 def _choose(weights: FloatArray) -> int:
-    """Return the simplest curve for which all more complex ones together have little weight."""
+    """Return the simplest curve for which all more complex curves together have little weight."""
     more_complex = weights[::-1].cumsum()[::-1] - weights
     return int(np.flatnonzero(more_complex <= MAX_COMPLEX_WEIGHT)[0])
 
@@ -195,7 +195,7 @@ class _Problem:
         self.distinct_points = int(np.unique(np.round(degc, 2)).size)
         self.has_loop = any(shows_loop(s.die_degc(0.0)) for s in series)
         self.loop_share = LOOP_SHARES[0]
-        self.lag_spread_s = 0.0  # of the lag between the shapes of a loop
+        self.lag_spread_s = 0.0  # of the lag for the different shapes of a loop
 
     def find_lag(self, basis: CurveBasis) -> float:
         """Return the lag with the largest posterior density."""
@@ -246,7 +246,7 @@ class _Problem:
         loop: bool,
         start: NoiseModel | None = None,
     ) -> SlowFit:
-        """Fit one curve, or none, at a lag."""
+        """Fit one curve, or no curve, at a lag."""
         return SlowFit.solve(self.data, self._design(basis, lag_s, loop), start)
 
     def summarize(
@@ -327,7 +327,7 @@ class _Problem:
     def with_lag(
         self, basis: CurveBasis, fit: SlowFit, lag_s: float, *, loop: bool
     ) -> tuple[FloatArray, float]:
-        """Return the covariance of the sizes with the uncertainty of the lag, and the latter."""
+        """Return the covariance of the sizes with the lag's uncertainty, and this uncertainty."""
         if not self.series:
             return fit.covariance, 0.0
         ahead, behind = (

@@ -20,7 +20,7 @@ from gyrorig_solver.model.value_format import DEG
 
 
 class AxisNonOrthogonality(NonlinearTerm):
-    """The deviation e from the right angle; positive leans the pan axis towards +x."""
+    """The deviation e from the right angle; a positive e tilts the pan axis towards +x."""
 
     cause = "axis_nonorthogonality"
     title = "The pan and tilt axes are not perpendicular"

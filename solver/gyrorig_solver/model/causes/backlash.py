@@ -4,13 +4,13 @@ A play operator on the angle of each axis: the stage follows once the motor has 
 The rate is lost for g/speed after each reversal and never after a restart in the same direction.
 The maker's FAQ states 0.02 to 0.1 deg, growing with wear; 0.2 deg is a worn worm. On the tilt axis
 the payload can press on one side of the gap at all times. Then there is no backlash, and the side
-changes where the payload is balanced.
+changes at the tilt where the payload is balanced.
 
-The output of the operator is centred on the input, but the zero of the unit is not. Homing found it
-with the wheel against one face, so that the stage is at the commanded angle when it comes from that
-side, and a whole gap short of it from the other side. No motion shows which face it was. Half the
-gap is a tilt zero, which is a rotation of the misalignment about x. It is not fitted, but the
-covariance of the gain includes it.
+The output of the operator is centred on the input, but the zero of the unit is not. Homing ended
+with the wheel in contact with one face. The stage is therefore at the commanded angle when it comes
+from that side, and a whole gap short of it from the other side. No motion shows which face it was.
+Half the gap is a tilt zero, which is a rotation of the misalignment about x. It is not fitted, but
+the covariance of the gain includes it.
 """
 
 import numpy as np
@@ -53,18 +53,18 @@ class Backlash(AngleTerm):
     is_persistent = True
 
     def angle_error(self, state: SignalState, values: FloatArray) -> FloatArray:
-        """Return the angle that the gap holds back, (2, n + 1)."""
+        """Return the part of the angle that is lost in the gap, (2, n + 1)."""
         error = np.zeros_like(state.angle_rad)
         for axis in (0, 1):
             if values[axis] != 0.0:
-                # The motion before this part of the series sets the contact, where it is known.
+                # The motion before this part of the series determines the contact, if it is known.
                 start_face = _direction_before(state, axis) or float(values[2 + axis])
                 commanded = state.angle_rad[axis]
                 error[axis] = apply_play(commanded, float(values[axis]), start_face) - commanded
         return error
 
     def tilt_zero_std_rad(self, values: FloatArray) -> float:
-        """Return half the gap of tilt: homing ended at one of the two faces."""
+        """Return half the gap of tilt, because homing ended at one of the two faces."""
         return 0.5 * float(values[1])
 
     def template_bank(self, state: SignalState) -> FloatArray:

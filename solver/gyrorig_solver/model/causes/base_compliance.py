@@ -5,10 +5,11 @@ because the mode is far above the low-pass. 1e-4 s^2 is 0.01 deg at 100 deg/s^2.
 pulse at each corner of a ramp. Short rounded corners (`s_curve`) have the same shape but the
 opposite sign, and both signs are fixed: only a positive c is a compliant base.
 
-Where a motor starts at its base speed, two opposite pulses come at almost the same time, and the
-first sample behind them shows half of their sum. A sample that was taken as the speed jumped saw
-none, one or both. The time of the jump is not known well enough, so the fit leaves that sample out.
-The same holds where the motor has crossed a gap and the stage starts at its speed (`backlash`).
+If a motor starts at its base speed, two opposite pulses come at almost the same time, and the first
+sample after them shows half of their sum. A sample that was taken during the speed jump shows none,
+one or both of the pulses. The time of the jump is not known well enough, so the fit leaves that
+sample out. The same is true if the motor has crossed a gap and the stage starts at its speed
+(`backlash`).
 """
 
 import numpy as np

@@ -2,7 +2,7 @@
 
 One-sided density 2 K^2/(2 pi f)^2 (IEEE Std 952, annex C, one-sided), K = 0.3 to 3 mdeg/s/sqrt(s):
 low-frequency power that the next cycle does not repeat. The noise model contains it. It is a cause
-only where K is far above the value that is usual for the part.
+only if K is far above the usual value of the part.
 """
 
 import numpy as np

@@ -1,7 +1,7 @@
 """Bias step: the bias jumps once.
 
-y_i += s_i from the event on: 10 to 50 mdeg/s. A knock, a changed supply, or a part that trims
-itself again can cause it (up to 0.4 rad/s in a flight log).
+y_i += s_i from the event on: 10 to 50 mdeg/s. A knock, a changed supply, or a part that repeats its
+trimming can cause it (up to 0.4 rad/s in a flight log).
 """
 
 from gyrorig_solver.data import FloatArray

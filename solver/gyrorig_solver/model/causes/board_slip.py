@@ -43,7 +43,7 @@ class BoardSlip(NonlinearTerm):
 
     @property
     def is_brief(self) -> bool:
-        """Return True: only the pulse of a lost step of tilt distinguishes the two."""
+        """Return True: only the pulse of a lost step of tilt separates the two causes."""
         return True
 
     def effect(self, state: SignalState, values: FloatArray) -> FloatArray:
@@ -56,7 +56,7 @@ class BoardSlip(NonlinearTerm):
     def tangent_signals(self, state: SignalState, values: FloatArray) -> FloatArray:
         """Return the derivative at no rotation, -(e x omega) after the event, (3, blocks, 3)."""
         after = step_signal(state, float(values[3]))[:, None]
-        # The low-pass acts on each component, so the rotation can follow it.
+        # The low-pass acts on each component separately, so the rotation can be applied after it.
         measured_rate = state.measure_sensor_rate(after * state.rate_rad_s)
         rows = axis_rows(measured_rate)
         rotations = np.stack([state.gain @ cross_matrix(unit).T for unit in np.eye(3)])

@@ -1,11 +1,11 @@
-"""Clock saw-tooth: a clock runs fast or slow, and is set right at regular intervals.
+"""Clock saw-tooth: a clock runs fast or slow and is corrected at regular intervals.
 
 Timestamp t belongs to true time t - e P (f - 1/2), where P is the period of the corrections and f
-the share of the period that has passed. The clock gains e in each second, and each correction sets
-it back by e P. A daemon that corrects a host's clock in steps does this, and so does a firmware
-that restarts its sample timer at each message of a time server. A recording with one correction
-cannot show the period: its causes are `clock_skew` and `clock_step`. Therefore the search starts
-with periods of which the recording contains two corrections, each with moves before and after it.
+the elapsed share of the period. The clock gains e per second, and each correction sets it back by e
+P. A daemon that corrects a host's clock in steps does this, and so does a firmware that restarts
+its sample timer at each message of a time server. A recording with one correction cannot show the
+period: its causes are `clock_skew` and `clock_step`. Therefore the search starts with periods for
+which the recording contains two corrections, each with moves before and after it.
 """
 
 import numpy as np
@@ -24,9 +24,9 @@ from gyrorig_solver.model.term_kinds import TimeTerm
 MIN_PERIOD_S = 2.0
 MAX_TEETH = 20.0  # in a recording
 MIN_TEETH = 1.0  # a longer period has at most one correction in the recording
-TEETH_STEP = 0.05  # in the template bank: a correction is a twentieth of a period off
+TEETH_STEP = 0.05  # in the template bank: a correction is wrong by a twentieth of a period
 PHASES = 24
-EDGE_SHARE = 0.2  # of the period of a sample, in which a correction acts gradually
+EDGE_SHARE = 0.2  # of the period of a sample, over which a correction acts gradually
 
 
 class ClockSawtooth(TimeTerm):
@@ -75,7 +75,7 @@ class ClockSawtooth(TimeTerm):
         return {0: self._delay_per_rate(state, values)}
 
     def time_offset_ambiguity_s(self, values: FloatArray) -> float:
-        """Return half of a correction: a later recording can begin anywhere in a period."""
+        """Return half of a correction, because a later recording can begin anywhere in a period."""
         return 0.5 * abs(float(values[0] * values[1]))
 
     def template_bank(self, state: SignalState) -> FloatArray:
@@ -87,7 +87,7 @@ class ClockSawtooth(TimeTerm):
         period_s, phase = np.meshgrid(periods_s, np.arange(PHASES) / PHASES, indexing="ij")
         bank = np.zeros((period_s.size, 3))
         bank[:, 1] = period_s.ravel()
-        # The correction next to the middle: its time hardly depends on the period.
+        # The correction nearest to the middle; its time hardly depends on the period.
         bank[:, 2] = 0.5 * (begin_s + end_s) + (period_s * (phase - 0.5)).ravel()
         last = np.floor((end_s - bank[:, 2]) / bank[:, 1])
         first = np.ceil((begin_s - bank[:, 2]) / bank[:, 1])
@@ -123,12 +123,12 @@ class ClockSawtooth(TimeTerm):
 
 
 def _seen_span_s(state: SignalState) -> tuple[float, float]:
-    """Return the times between which moves of a recording show a correction."""
+    """Return the time span in which moves of a recording show a correction."""
     begin_s, end_s = state.context.begin_s, state.context.end_s
     moving_s = state.time_s[state.moving.any(axis=0)]
     if not moving_s.size:
         return begin_s, end_s
-    # A part that begins or ends within the recording has moves beyond its own.
+    # The recording has moves before or after a part that begins or ends within it.
     if state.time_s[0] <= begin_s:
         begin_s = float(moving_s[0])
     if state.time_s[-1] >= end_s - state.step_s:

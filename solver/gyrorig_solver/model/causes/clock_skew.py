@@ -1,8 +1,8 @@
 """Clock drift: the board's clock and the unit's clock run at different rates.
 
 Timestamp t belongs to true time t - e (t - mid), where mid is the middle of the recording. e > 0
-means that the board's clock is fast. Crystals have 20 to 50 ppm, ceramic resonators 640 ppm (an UNO
-R3), and RC or MEMS oscillators 0.5 to 8 % where the sample rate itself is used as the clock. The
+means that the board's clock is fast. Crystals have 20 to 50 ppm and ceramic resonators 640 ppm (an
+UNO R3). RC or MEMS oscillators have 0.5 to 8 % if the sample rate itself is used as the clock. The
 scale factor of all axes changes with it: a clock that is fast by e makes every rate (1 + e) times
 as large.
 """

@@ -50,7 +50,7 @@ class ClockStep(TimeTerm):
         return {0: -instants_after(state, float(values[1]))}
 
     def time_offset_ambiguity_s(self, values: FloatArray) -> float:
-        """Return the size of the step: a later recording can be like either part of this one."""
+        """Return the step size: a later recording can be like the part before or after it."""
         return abs(float(values[0]))
 
     def template_bank(self, state: SignalState) -> FloatArray:

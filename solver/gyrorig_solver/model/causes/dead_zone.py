@@ -1,9 +1,9 @@
 """Dead band: slow rates are not measured.
 
-(G omega)_i counts as zero where its size is below d_i. A threshold of the sensing element or a dead
-band in the firmware causes it; 0.1 deg/s is large. One count (0.009 deg/s) is not a dead band,
-because noise carries the mean across it. Within an interval the rate is taken as linear in time, so
-that crossings lie between grid points and the effect has a derivative.
+(G omega)_i counts as zero if its magnitude is below d_i. A threshold of the sensing element or a
+dead band in the firmware causes it; 0.1 deg/s is large. One count (0.009 deg/s) is not a dead band,
+because noise carries the mean across it. Within an interval the rate is treated as linear in time,
+so that crossings are between grid points and the effect has a derivative.
 """
 
 from dataclasses import dataclass
@@ -18,11 +18,11 @@ from gyrorig_solver.model.term import RATE_COVARIATES, BinnedDependence, size_pa
 from gyrorig_solver.model.term_kinds import NonlinearTerm, scan_grid
 from gyrorig_solver.model.value_format import DEG, XYZ, format_list
 
-JUMP_RATIO = 3.0  # of a change over the changes next to it: a stepper starts at its base speed
+JUMP_RATIO = 3.0  # of a change over the adjacent changes: a stepper starts at its base speed
 MIN_RELATIVE_CHANGE = 1e-6  # of the threshold: a smaller change over an interval counts as none
-# Of the threshold: where the rate changes less over an interval, it stays on one side of the
-# threshold and the effect has no derivative. A finite difference there would tie the width to the
-# gain a hundred times as tightly as the data do.
+# Relative to the threshold. If the rate changes less over an interval, it stays on one side of the
+# threshold and the effect has no derivative. A finite difference there would constrain the width
+# relative to the gain a hundred times as tightly as the data do.
 PLATEAU_RELATIVE_CHANGE = 1e-4
 
 
@@ -67,7 +67,7 @@ class DeadZone(NonlinearTerm):
         for axis in np.flatnonzero(values > 0.0):
             intervals = _RateIntervals.of(rate[:, axis], float(values[axis]))
             derivatives[axis, :, axis] = intervals.derivative_by_threshold()
-        # A width of zero has only the finite difference to a small width.
+        # At a width of zero, only the finite difference to a small width exists.
         derivatives = state.measure_sensor_rate(derivatives)
         if np.any(values <= 0.0):
             derivatives[values <= 0.0] = self.jacobian(state, values)[values <= 0.0]
@@ -105,9 +105,9 @@ class DeadZone(NonlinearTerm):
 def _dead_zone_loss(rate: FloatArray, threshold: FloatArray) -> FloatArray:
     """Return the mean of -r where |r| < d, else 0, over each interval, shape (n, 3).
 
-    With r linear from r0 to r1 it is (F(r1) - F(r0)) / (r1 - r0), F(r) = -min(|r|, d)^2 / 2. Where
-    r jumps inside an interval it is r0 before and r1 after the jump, for the shares of the time
-    that give the interval's mean (Harten's subcell resolution, J. Comput. Phys. 83, 1989).
+    With r linear from r0 to r1 it is (F(r1) - F(r0)) / (r1 - r0), F(r) = -min(|r|, d)^2 / 2. If r
+    jumps inside an interval, it is r0 before and r1 after the jump, for the shares of the time that
+    give the interval's mean (Harten's subcell resolution, J. Comput. Phys. 83, 1989).
     """
     begin, end, jump = _interval_ends(rate, threshold)
     change = end - begin
@@ -125,7 +125,7 @@ def _dead_zone_loss(rate: FloatArray, threshold: FloatArray) -> FloatArray:
 def _interval_ends(
     rate: FloatArray, threshold: FloatArray | float
 ) -> tuple[FloatArray, FloatArray, BoolArray]:
-    """Return the rate at the begin and end of each interval, and whether it jumps inside."""
+    """Return the rate at the beginning and end of each interval, and whether it jumps inside."""
     padded = np.concatenate([rate[:1], rate[:1], rate, rate[-1:], rate[-1:]])
     rise = np.diff(padded, axis=0)
     before, after = rise[:-3], rise[3:]  # from interval to interval, before and after

@@ -7,8 +7,8 @@ On a level base whose y axis points `heading` clockwise from true north, at lati
 
 `heading_deg` is the compass heading of the base's y axis, which points forward: 0 is north, 90 is
 east. With east, north and up as axes, y is (sin h, cos h, 0) and x, to the right of it, is (cos h,
--sin h, 0). Omega = 7.292115e-5 rad/s (WGS 84, NIMA TR8350.2, table 3.2): 4.2 mdps. It is known
-where the site is known.
+-sin h, 0). Omega = 7.292115e-5 rad/s (WGS 84, NIMA TR8350.2, table 3.2): 4.2 mdps. The rate is
+known if the site is known.
 """
 
 import numpy as np
@@ -24,7 +24,7 @@ EARTH_RATE_RAD_S = 7.292115e-5
 
 
 class EarthRotation(LinearTerm):
-    """The rate of the Earth, which is known: its start value is its value."""
+    """The known rate of the Earth; the start value is the value."""
 
     cause = "earth_rotation"
     title = "The gyroscope measures the Earth's rotation"

@@ -1,9 +1,10 @@
 """Eccentricity: the pan wheel has runout, which gives an error once per turn.
 
 pan + Re(z (exp(-i pan) + w exp(-2 i pan))), z = c + i s: the gain depends on the pan angle. 0.02 to
-0.1 deg (from memory). A wheel that is off its axis is rarely round, and each of its two bearings
-has runout as well. w is the share at twice per turn, with its phase relative to the first. On tilt
-the same function cannot be separated from a sagging payload (see `tilt_sag`).
+0.1 deg (from memory). A wheel that is not centred on its axis is rarely round, and each of its two
+bearings has runout as well. w is the relative size of the component at twice per turn, with its
+phase relative to the first. On tilt, the same function cannot be separated from a sagging payload
+(see `tilt_sag`).
 """
 
 import numpy as np
@@ -62,7 +63,7 @@ class Eccentricity(LinearAngleTerm):
         """Return cosine and sine of the pan angle, each with its second harmonic."""
         along, across = float(values[2]), float(values[3])
         cosine, sine = state.angle_waves.cosine_and_sine(0, 2.0 * np.pi)
-        # The double angle from the single one: fewer functions of each angle.
+        # The double-angle formulas need fewer trigonometric functions of each angle.
         double_cosine, double_sine = 1.0 - 2.0 * sine**2, 2.0 * sine * cosine
         return [
             (0, cosine + along * double_cosine + across * double_sine),

@@ -77,7 +77,7 @@ class GSensitivity(LinearTerm):
 
 
 class ForceSensitivity(GSensitivity):
-    """K against all three components of what the board's accelerometer reads."""
+    """K for all three components of the reading of the board's accelerometer."""
 
     excitation = "an accelerometer in the recording, and poses in all orientations"
 
@@ -91,7 +91,7 @@ class ForceSensitivity(GSensitivity):
         return signals
 
     def reason_not_testable(self, state: SignalState) -> str | None:
-        """Explain that there is no accelerometer, or that gravity did not change."""
+        """Return the reason: no accelerometer, or no change of gravity; None without a reason."""
         if not np.any(state.specific_force_m_s2):
             return "the recording has no accelerometer data; record the accelerometer too"
         if float(np.ptp(state.specific_force_m_s2, axis=0).min()) < MIN_FORCE_SPAN_M_S2:

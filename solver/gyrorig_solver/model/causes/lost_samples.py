@@ -1,6 +1,6 @@
 """Lost samples: uncounted samples are missing, so that later timestamps are too early.
 
-Where timestamps come from counting samples, n lost samples shift all later timestamps by n periods:
+If timestamps come from counting samples, n lost samples shift all later timestamps by n periods:
 the true time is t + n Ts from the event on. It is a clock step of a whole number of periods. The
 board's own timestamps or sequence numbers separate the two.
 """

@@ -4,9 +4,9 @@ angle - s from the event on, all at once. The rotor falls back by whole cycles o
 0.411 deg on a PTU-E46-17.5 (0.1029 deg per full step). High speed, acceleration or load, and low
 move power or supply voltage cause it. The rate has one short pulse, and every later angle is wrong.
 
-The low-pass sets the length of the pulse, so the search must try every time. The template bank
-holds a limited number of times. `pulse_templates` has the signal of every time, to be correlated
-with a residual; the search starts at the best of these times.
+The low-pass determines the length of the pulse, so the search must try every time. The template
+bank contains a limited number of times. `pulse_templates` has the signal of every time, which the
+search correlates with a residual; the search starts at the best of these times.
 """
 
 import numpy as np
@@ -25,11 +25,11 @@ MAX_SCAN_TIMES = 2000
 def pulse_templates(state: SignalState, times_per_block: int = 2) -> PulseTemplates:
     """Return the templates of step losses during the moves of each axis.
 
-    They contain neither the lean that a loss on tilt leaves behind nor missing samples.
+    They contain neither the remaining lean after a loss on tilt nor missing samples.
 
     Args:
         state: a part of a series.
-        times_per_block: how many times per block.
+        times_per_block: number of times per block.
     """
     intervals_per_block = state.intervals_per_instant * state.instants_per_block
     stride = max(1, intervals_per_block // times_per_block)
@@ -121,7 +121,7 @@ class LostSteps(LinearAngleTerm):
     def tangent_signals(self, state: SignalState, values: FloatArray) -> FloatArray:
         """Return the derivatives by the sizes, zero for an axis at rest at the event.
 
-        On pan it is a pulse, which is fast to compute. On tilt the remaining lean counts too.
+        On pan it is a pulse, which is fast to compute. On tilt, the remaining lean is included.
         """
         signals = zero_signals(2, state.block_count)
         k = self._event_interval(state, float(values[2]))
@@ -156,7 +156,7 @@ class LostSteps(LinearAngleTerm):
         return f"the motors lost steps at {values[2]:.2f} s: {text}"
 
     def _event_interval(self, state: SignalState, event_s: float) -> int:
-        """Return the last interval whose middle is before the event."""
+        """Return the last interval whose centre is before the event."""
         if event_s <= state.time_s[0]:
             return -1
         k = int(np.searchsorted(state.time_s, event_s, side="right")) - 1

@@ -54,7 +54,7 @@ class LowPassLag(NonlinearTerm):
         )
 
     def propagate(self, state: SignalState, values: FloatArray) -> SignalState:
-        """Return the signal behind the other filter, without its additional delay."""
+        """Return the signal after the other filter, without its additional delay."""
         other = self._actual_filter(state, values)
         if other is None or state.low_pass is None:
             return state
@@ -70,7 +70,7 @@ class LowPassLag(NonlinearTerm):
         return replace(state.low_pass, bandwidth_hz=cutoff)
 
     def bandwidth_ratio(self, values: FloatArray) -> float:
-        """Return the true cut-off over the configured one; the noise passes it too."""
+        """Return the true cut-off over the configured one, which also applies to the noise."""
         return float(np.exp(values[0]))
 
     def template_bank(self, state: SignalState) -> FloatArray:

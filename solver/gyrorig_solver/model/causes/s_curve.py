@@ -1,6 +1,6 @@
 """S-curve: the speed ramps have rounded corners, because the jerk is limited.
 
-The mean of the angle over a box of length L about each instant (a jerk-limited profile with jerk =
+The angle is the mean over a box of length L about each instant (a jerk-limited profile with jerk =
 acceleration/L). The delay of the box, L/2, is left out, because start delays and the time offset
 absorb it. 10 to 100 ms. For short L the change is L^2/24 angle'', which grows as L^2, and only its
 sign separates it from a compliant base.

@@ -1,9 +1,8 @@
 """Saturation: the output stops below the full scale, which cuts off the peaks.
 
-y_i is clipped at +-L, L = full scale (1 - s), behind the low-pass and with the bias included. A
-part clips near 32767 counts, 15 % above its nominal range; the supply or the firmware can clip
-earlier. Samples that are flagged as saturated are excluded before; this term is for those without a
-flag.
+y_i is clipped at +-L, L = full scale (1 - s), after the low-pass and with the bias included. A part
+clips near 32767 counts, 15 % above its nominal range; the supply or the firmware can clip earlier.
+Samples that are flagged as saturated are excluded before; this term is for samples without a flag.
 """
 
 import numpy as np
@@ -13,8 +12,8 @@ from gyrorig_solver.model.signal_state import SignalState
 from gyrorig_solver.model.term import RATE_COVARIATES, BinnedDependence, TermParameter
 from gyrorig_solver.model.term_kinds import NonlinearTerm, scan_grid
 
-SMALLEST_LIMIT, LARGEST_LIMIT = 0.02, 0.98  # that are scanned, of the full scale
-FINE_STEP = 1e-3  # relative, of the limits that are scanned below the peaks
+SMALLEST_LIMIT, LARGEST_LIMIT = 0.02, 0.98  # of the scanned limits, relative to the full scale
+FINE_STEP = 1e-3  # relative step between the scanned limits below the peaks
 FINE_STEPS_BELOW = np.array([0.0, 1.0, 3.0, 6.0, 10.0, 15.0, 22.0, 32.0, 48.0, 70.0])
 
 
@@ -31,7 +30,7 @@ class Saturation(NonlinearTerm):
         TermParameter("shortfall", "1", typical_size=0.2, lower=0.0, upper=0.98, prior_std=1.0),
     )
     confused_with = ("scale_cubic", "low_pass_lag")
-    implied_by = "wrong_full_scale"  # a sensor of half the range saturates at half the rate
+    implied_by = "wrong_full_scale"  # a sensor with half the range saturates at half the rate
     remedy = "use a larger full scale, or turn more slowly"
     covariates = RATE_COVARIATES
     template_search = "full_grid"
@@ -49,7 +48,7 @@ class Saturation(NonlinearTerm):
         return state.sample_output(np.clip(rate, -limit_rad_s, limit_rad_s) - rate)
 
     def incremental_gain(self, state: SignalState, values: FloatArray) -> FloatArray | None:
-        """Return 1 where the rate is inside the limits, else 0, (n, 3)."""
+        """Return 1 if the rate is inside the limits, else 0, (n, 3)."""
         full_scale_rad_s = state.context.full_scale_rad_s
         if full_scale_rad_s is None or values[0] == 0.0:
             return None
@@ -59,8 +58,8 @@ class Saturation(NonlinearTerm):
     def template_bank(self, state: SignalState) -> FloatArray:
         """Scan limits an eighth apart, down to a fiftieth of the range, and some below each peak.
 
-        A limit just below a peak has little in common with one an eighth lower. The limits below
-        the peaks are on a fixed grid, so that parts with the same moves have the same ones.
+        A limit just below a peak has little in common with a limit an eighth lower. The limits
+        below the peaks are on a fixed grid, so that parts with the same moves have the same limits.
         """
         limits = np.geomspace(SMALLEST_LIMIT, LARGEST_LIMIT, 30)
         full_scale_rad_s = state.context.full_scale_rad_s

@@ -1,9 +1,9 @@
 """Step size error: a step of the unit is not the angle that its resolution states.
 
 angle (1 + e) on each axis, from the zero of the count: a gear ratio, a step mode or a rounded
-resolution (185.1428 as 185 arcsec is 7.7e-4). On pan the gain's y and z columns absorb it
-completely, so nothing shows it. On tilt it shows in the direction of the pan axis in the stage
-frame over tilt.
+resolution (185.1428 as 185 arcsec is 7.7e-4). On pan, the gain's y and z columns absorb it
+completely, so nothing shows it. On tilt, the direction of the pan axis in the stage frame shows it
+as a function of tilt.
 """
 
 from gyrorig_solver.data import FloatArray

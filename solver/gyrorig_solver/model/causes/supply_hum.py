@@ -1,6 +1,6 @@
 """Supply hum: a spectral line in the output, from the mains or the board's supply.
 
-y_i += c_i cos(2 pi f t) + s_i sin(2 pi f t) at the samples' instants, picked up behind the sensing
+y_i += c_i cos(2 pi f t) + s_i sin(2 pi f t) at the samples' instants, coupled in after the sensing
 element. Sampling aliases it and the block means attenuate it, and the model reproduces both. 50 or
 60 Hz and their second harmonics; f is the true frequency, not the aliased one.
 """
@@ -78,10 +78,10 @@ class SupplyHum(LinearTerm):
 
 
 class OutOfBandHum(SupplyHum):
-    """Lines of the mains are faster than what a reference of attitudes can judge."""
+    """Hum that cannot be tested, because mains lines are faster than a reference of attitudes."""
 
     def reason_not_testable(self, state: SignalState) -> str | None:
-        """Say so."""
+        """Return that the reference has only slow rates."""
         del state
         return "the fit compares only slow rates with the reference; record the board at rest"
 

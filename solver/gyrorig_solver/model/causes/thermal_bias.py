@@ -1,11 +1,11 @@
 """Bias temperature sensitivity: the bias is a polynomial of the temperature.
 
-b(T) = sum over p of k_p (T - T0)^p, p = 1 to the order, T0 the mean of the recordings. The die is
-not where the thermometer is. With lag > 0 the thermometer is late, T_die = T + lag dT/dt; with lag
-< 0 the die is late, T_die' = (T - T_die)/|lag|. To first order both are T + lag dT/dt. Data sheets:
-0.03 dps/K (L3G4200D, from memory of its front page), 0.24 dps/K (MPU-6500), 0.005 (ICM-42688-P);
-+-20 dps over 125 K (MPU-6050) is 0.16 dps/K. Lags between sensor and die are 10 to 60 s; without a
-lag in the model, a lagged bias would be named a warm-up.
+b(T) = sum over p of k_p (T - T0)^p, p = 1 to the order, T0 the mean of the recordings. The die and
+the thermometer are at different places. With lag > 0 the thermometer is late, T_die = T + lag
+dT/dt; with lag < 0 the die is late, T_die' = (T - T_die)/|lag|. To first order both are T + lag
+dT/dt. Data sheets: 0.03 dps/K (L3G4200D, from memory of its front page), 0.24 dps/K (MPU-6500),
+0.005 (ICM-42688-P); +-20 dps over 125 K (MPU-6050) is 0.16 dps/K. Lags between sensor and die are
+10 to 60 s; without a lag in the model, the search would name a lagged bias a warm-up.
 """
 
 import numpy as np

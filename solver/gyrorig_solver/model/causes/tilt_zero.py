@@ -2,8 +2,8 @@
 
 True tilt t + z. The rate becomes Rx(z)^T omega for every motion, which is exactly a rotation of M
 about x. A gyroscope alone therefore never shows it, and M is only as accurate as the zero. A home
-sensor repeats to one position (0.05 deg) but is 0.1 to 1 deg away from level. The accelerometer can
-measure it: see `model.leveling.estimate_level`.
+sensor always gives the same position within 0.05 deg, but this position is 0.1 to 1 deg away from
+level. The accelerometer can measure it: see `model.leveling.estimate_level`.
 """
 
 import numpy as np

@@ -1,8 +1,8 @@
 """Warm-up: the turn-on transient of the bias.
 
-y_i += a_i exp(-(t - t_begin)/tau), where t_begin is the begin of the recording, so that a is the
-remaining transient at that time. 0.05 to 0.3 deg/s over 30 to 120 s (from memory); boards settle
-over minutes.
+y_i += a_i exp(-(t - t_begin)/tau), where t_begin is the beginning of the recording, so that a is
+the remaining transient at that time. 0.05 to 0.3 deg/s over 30 to 120 s (from memory); boards need
+minutes to reach a steady state.
 """
 
 import numpy as np

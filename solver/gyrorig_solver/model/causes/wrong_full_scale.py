@@ -1,8 +1,8 @@
-"""Wrong full scale: the sensor's range is not the one that its counts are read with.
+"""Wrong full scale: the sensor's range differs from the range that the driver assumes.
 
 y' = 2^v y for all axes, v a whole number on most parts (250, 500, 1000, 2000 deg/s; an L3G4200D has
 250, 500, 2000). The scale factor absorbs it completely. The distance of the scale factor from 1
-identifies it, because data sheets promise 2 to 15 %.
+identifies it, because data sheets limit this distance to 2 to 15 %.
 """
 
 import numpy as np

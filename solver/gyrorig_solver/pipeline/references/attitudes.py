@@ -37,7 +37,7 @@ from gyrorig_solver.report.report_series import series_of_attitudes
 
 
 class AttitudeKind(ReferenceKind):
-    """Attitudes on their own topic; recordings without them are left out."""
+    """Attitudes on a separate topic; recordings without them are left out."""
 
     title = "reference attitudes"
     preference = 20

@@ -1,8 +1,8 @@
-"""The next experiment: a motion program that separates causes between which a search could not.
+"""The next experiment: a motion program that separates causes that a search could not separate.
 
-What to use when: `propose_program` after a search, with the unit of `recorded_unit`.
-`cause_pairs` has the expected log Bayes factor of two causes, `motion_blocks` the motions that a
-program is made of, `simulated_recording` the recording of a program before it is made.
+What to use when: `propose_program` after a search, with the unit of `recorded_unit`. `cause_pairs`
+has the expected log Bayes factor of two causes, `motion_blocks` has the motions of a program,
+`simulated_recording` has the simulated recording of a program.
 """
 
 from gyrorig_solver.plan.separation.cause_pairs import CausePair

@@ -1,17 +1,18 @@
-"""How well a recording separates two causes: the expected log Bayes factor between them.
+"""Separation of two causes by a recording: the expected log Bayes factor between them.
 
-With the fitted values of one cause as truth, its noise-free signal is explained as well as possible
-by the other one, everything that a fit can follow included. Half the squared distance that remains,
-in the metric of the noise, is the expected log Bayes factor. The truth can be either, and the
-smaller of both counts. To first order the distances of several motions add up; that chooses a
-program. The exact distance, with the causes' Occam factors, judges it.
+One cause with its fitted values is the assumed truth. The other cause, and all parameters of a fit,
+explain its noise-free signal as well as possible. Half the squared distance of the residual, in the
+metric of the noise, is the expected log Bayes factor. Either cause can be the truth; the smaller of
+both results counts. To first order, the distances of several motions add up. The solver chooses a
+program with this sum. It evaluates the chosen program with the exact distance and the causes' Occam
+factors.
 
-A cause of a board or of a unit has one value in all recordings. A cause of a recording has its own
-value in each, therefore the old recordings do not help to exclude it in the new one.
+A cause of a board or of a unit has one value in all recordings. A cause of a recording has a
+separate value in each, therefore the old recordings do not help to exclude it in the new one.
 
-What to use when: `fitted_pairs` for the causes of a set, `unseen_cause` for one alone;
+What to use when: `fitted_pairs` for the causes of a set, `unseen_cause` for a single cause;
 `FirstOrder` with the `pair_products` of recordings to choose a program; `expected_nats` for the
-figure that is stated.
+reported figure.
 """
 
 from collections.abc import Sequence
@@ -47,10 +48,10 @@ from gyrorig_solver.model.catalogue import catalogue
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CausePair:
-    """Two causes that may explain the same effect, or one that no recording can show yet."""
+    """Two causes that may explain the same effect, or one that no recording has shown yet."""
 
-    first: FittedTerm  # with its fitted values; a cause alone has its typical size
-    second: FittedTerm | None  # with its fitted values; None: the first is compared with nothing
+    first: FittedTerm  # with its fitted values; a single cause has its typical size
+    second: FittedTerm | None  # with its fitted values; None: the first has no rival
     named: FittedTerm | None  # the cause of the fit that is one of the set
 
     @property
@@ -86,7 +87,7 @@ class PairProducts:
     """
 
     information: FloatArray  # (n, n)
-    session_count: int  # of bias and time offset: 4 or 0
+    session_count: int  # of bias and time offset: 4 per recording, or 0 if eliminated
     first_count: int  # derivatives of the first cause
     second_count: int  # derivatives of the second cause
 
@@ -100,7 +101,7 @@ class PairProducts:
         return self.first_count + self.second_count + 2
 
     def without_session(self, prior_std: FloatArray) -> "PairProducts":
-        """Return them with bias and time offset eliminated; `prior_std`: of these."""
+        """Return the products with bias and time offset eliminated; `prior_std`: of these two."""
         session = np.arange(GAIN_PARAMETERS, GAIN_PARAMETERS + self.session_count)
         prior = np.zeros(len(self.information))
         prior[session] = prior_std**-2.0
@@ -108,7 +109,7 @@ class PairProducts:
         return replace(self, information=reduced, session_count=0)
 
     def without_rival(self, rival_is_first: bool) -> "PairProducts":
-        """Return them with a rival fitted, and without a word on the pair."""
+        """Return the products with a rival fitted, and without information on the pair."""
         first = len(self.information) - self.signal_count
         rival = first + self._derivatives(rival_is_first)
         information = np.zeros_like(self.information)
@@ -119,7 +120,7 @@ class PairProducts:
         return replace(self, information=information)
 
     def gain_nats(self, prior_std: FloatArray) -> float:
-        """Return the nats that the stronger of both effects wins; `prior_std`: of the others."""
+        """Return the log-likelihood that the stronger effect gains; `prior_std`: of the others."""
         signals = self._of_signals(prior_std)
         return 0.5 * max(float(signals[self.first_count, self.first_count]), float(signals[-1, -1]))
 
@@ -167,14 +168,14 @@ def _tiny(information: FloatArray) -> FloatArray:
 
 
 def judged_by_typical_noise(solution: ConvergedFit) -> ConvergedFit:
-    """Return a fit with the noise levels by which a search judges causes."""
+    """Return a fit with the noise levels that a search uses for causes."""
     if has_typical_noise(solution):
         return solution
     return replace(solution, noises=tuple(limit_to_typical(noise) for noise in solution.noises))
 
 
 def own_recordings(solution: ConvergedFit, cause: FittedTerm | None) -> ConvergedFit:
-    """Return a fit with the recordings in which a cause can act."""
+    """Return a fit with only the recordings in which a cause can act."""
     number = None if cause is None else recording_index_of(cause.term)
     if number is None:
         return solution
@@ -184,7 +185,7 @@ def own_recordings(solution: ConvergedFit, cause: FittedTerm | None) -> Converge
 
 
 def together(solution: ConvergedFit, other: ConvergedFit) -> ConvergedFit:
-    """Return the fit of the recordings of two fits with the same values."""
+    """Return one fit with the recordings of two fits that have the same values."""
     return replace(
         solution,
         sessions=(*solution.sessions, *other.sessions),
@@ -198,9 +199,9 @@ def fitted_pairs(
     """Return all pairs of a set of causes, the rivals fitted to the effect of the named cause.
 
     Args:
-        solution: the fit, with the noise by which causes are judged.
+        solution: the fit, with the noise levels that a search uses for causes.
         named: the cause of the fit.
-        rivals: the others of the set; what a motion cannot show is left out.
+        rivals: the others of the set; causes that a motion cannot show are left out.
     """
     solution = own_recordings(solution, named)
     first = replace(named, term=catalogue()[named.term.cause], other_boards_prior=None)
@@ -221,9 +222,9 @@ def fitted_pairs(
 
 
 def unseen_cause(solution: ConvergedFit, cause: str) -> CausePair | None:
-    """Return a cause at its typical size, to be compared with nothing.
+    """Return a cause at its typical size, without a rival.
 
-    None if no motion shows it, or it happens once, or it is in the fit.
+    None if no motion shows it, if it is an event, or if it is in the fit.
     """
     term = catalogue()[cause]
     projector = NuisanceProjector.of_effect(solution, None, None, solution.noises)
@@ -238,7 +239,7 @@ def unseen_cause(solution: ConvergedFit, cause: str) -> CausePair | None:
 
 
 def _is_equivalent(term: Term, members: Sequence[FittedTerm]) -> bool:
-    """Return whether a cause is the same function as one of some others, on its axis."""
+    """Return whether a cause is the same function on its axis as one of the members."""
     return any(
         term.cause in member.term.equivalent_causes or member.term.cause in term.equivalent_causes
         for member in members
@@ -248,7 +249,8 @@ def _is_equivalent(term: Term, members: Sequence[FittedTerm]) -> bool:
 def pair_products(solution: ConvergedFit, pairs: Sequence[CausePair]) -> list[PairProducts]:
     """Return the products of each pair's signals in the recordings of a fit.
 
-    The pairs belong to one cause of the fit. With one recording bias and time offset stay in them.
+    The pairs belong to one cause of the fit. The products contain bias and time offset of all
+    recordings.
     """
     named = pairs[0].named
     projector = NuisanceProjector.of_effect(solution, named, None, solution.noises)
@@ -288,7 +290,7 @@ class FirstOrder:
 
         Args:
             pair: the causes.
-            solution: their fit, with the noise by which causes are judged.
+            solution: their fit, with the noise levels that a search uses for causes.
         """
         solution = own_recordings(solution, pair.named)
         layout = ParameterLayout.of([[]], 1)
@@ -302,9 +304,9 @@ class FirstOrder:
         self._old_gain = {is_first: self._old.without_rival(is_first) for is_first in (True, False)}
 
     def outlook(self, new: PairProducts | None) -> tuple[float, float]:
-        """Return the expected nats between the causes, and the nats that a cause wins.
+        """Return the expected nats between the causes, and the log-likelihood that a cause gains.
 
-        `new`: the sum over the parts of the new recording; None: without it.
+        `new`: the sum over the parts of the new recording; None for the old recordings alone.
         """
         added = None if new is None else new.without_session(self._session_std)
         total = self._old if added is None else self._old + added
@@ -322,7 +324,7 @@ class FirstOrder:
 def expected_nats(
     pair: CausePair, old: ConvergedFit, new: ConvergedFit
 ) -> list[tuple[float, float]]:
-    """Return the expected log Bayes factor of each truth, and the nats that the truth wins.
+    """Return the expected log Bayes factor and the log-likelihood gain of each truth.
 
     Args:
         pair: the causes.
@@ -346,9 +348,9 @@ def expected_nats(
 
 
 def _fit_rival(projector: NuisanceProjector, term: Term) -> FittedCandidate | None:
-    """Return the best fit of a rival, also where values beyond its bounds would be better.
+    """Return the best fit of a rival, even if its optimum is beyond the bounds of its values.
 
-    With noise such a rival can stay within its bounds.
+    With noise, the optimum of such a rival can be within its bounds.
     """
     scores = scan_catalogue(projector, [term], 1, all_templates(projector, term))
     best = fit_best_place(projector, scores, with_infeasible=True)

@@ -1,8 +1,8 @@
-"""Motions of some seconds that a program is made of, each from the home position and back to it.
+"""Motions of some seconds that form a program; each starts and ends at the home position.
 
-Rests show what changes with time alone; sweeps at several speeds show what grows with the rate, its
-square or its cube; sweeps at several tilts show what depends on the pose; reversals and stairs show
-gears; moves of both axes show vibrations.
+Rests show effects that depend on time only. Sweeps at several speeds show effects that grow with
+the rate, its square or its cube. Sweeps at several tilts show effects that depend on the pose.
+Reversals and stairs show errors of the gears, and moves of both axes show vibrations.
 
 What to use when: `motion_blocks` for all blocks that fit the unit; `program_of_blocks` for a
 program.
@@ -16,13 +16,14 @@ from gyrorig_protocol.program import MotionProgram, PtuSettings, Rest, Step
 from gyrorig_solver.plan.program_family import MotionSpace, moves_between
 
 STATIC_S = 2.0  # at each end of a program
-BLOCK_STATIC_S = 0.3  # at each end of a block that is judged alone: less than a block's own rests
-DWELL_S = 0.3  # after each move: the mechanics ring down
+# at each end of a block that is evaluated alone; shorter than the rests within a block
+BLOCK_STATIC_S = 0.3
+DWELL_S = 0.3  # after each move, so that the mechanics ring down
 STAIR_DWELL_S = 1.0
 REST_LENGTHS_S = (20.0, 50.0, 80.0, 110.0)
 SPEED_SHARES = (1.0, 0.55, 0.25, 0.1)
 MIN_SPEED_DEG_S = 2.0
-MAX_SWEEP_S = 5.0  # one way: the slower, the shorter
+MAX_SWEEP_S = 5.0  # one way; a slower sweep is shorter
 PASSES = (1, 4)  # to both ends
 REVERSALS, REVERSAL_DEG = 6, 15.0
 STAIRS = 7
@@ -36,7 +37,7 @@ class MotionBlock:
 
     name: str
     steps: tuple[Step, ...]
-    is_rest: bool = False  # it comes first in a program, when the board is as cold as it gets
+    is_rest: bool = False  # it comes first in a program, when the board is coldest
 
 
 def motion_blocks(space: MotionSpace) -> tuple[MotionBlock, ...]:
@@ -47,13 +48,13 @@ def motion_blocks(space: MotionSpace) -> tuple[MotionBlock, ...]:
 def program_of_blocks(
     blocks: Sequence[MotionBlock], settings: PtuSettings, name: str, static_s: float = STATIC_S
 ) -> MotionProgram:
-    """Return the program of some blocks, one after the other: rests first.
+    """Return the program of some blocks in sequence, rests first.
 
     Args:
         blocks: at least one.
         settings: of the unit.
         name: of the program.
-        static_s: rest at the begin and at the end.
+        static_s: rest at the beginning and at the end.
     """
     static = Step(rest=Rest(static_s, "static"))
     ordered = sorted(blocks, key=lambda block: not block.is_rest)
@@ -94,7 +95,7 @@ def _sweeps(space: MotionSpace, passes: int) -> Iterator[MotionBlock]:
             f"tilt sweeps {speed_words}, {passes} times",
             _path(space, [(home.pan_deg, tilt) for tilt in tilt_ends * passes], share),
         )
-        # Pan turns as far as tilt, so that both move all the time.
+        # Pan turns by the same angle as tilt, so that both axes move all the time.
         near_ends = _ends(space.pan_deg, abs(tilt_ends[0] - tilt_ends[1]))
         diagonals = list(zip(near_ends, tilt_ends, strict=True)) * passes
         yield MotionBlock(
@@ -113,7 +114,7 @@ def _reversals(space: MotionSpace) -> Iterator[MotionBlock]:
 
 
 def _stairs(space: MotionSpace) -> Iterator[MotionBlock]:
-    """Yield rests over the range of each axis, approached from one side."""
+    """Yield rests over the range of each axis, reached from one direction."""
     shares = [k / (STAIRS - 1) for k in range(STAIRS)]
     pans, tilts = (
         [low + (high - low) * share for share in shares]

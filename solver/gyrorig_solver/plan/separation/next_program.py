@@ -1,8 +1,8 @@
-"""The motion program that separates causes between which a search could not decide.
+"""The motion program that separates causes that a search could not separate.
 
-The separation of each pair of causes by each block of motion is computed once. Blocks are chosen
-one after the other by what they add per second, until each pair is separated with enough
-probability or the time is used up. The chosen program is then judged as a whole.
+The solver computes once how well each block of motion separates each pair of causes. It then
+chooses blocks in sequence by their gain per second, until each pair is separated with enough
+probability or the time is used up. Finally it evaluates the chosen program as a whole.
 
 Source: T-optimal design; Atkinson and Fedorov, Biometrika 62 (1975) 57.
 """
@@ -51,21 +51,21 @@ MAX_PROGRAM_S = 120.0
 PROGRAM_NAME = "next-program"
 DECISION_SIGMA = 2.6  # deviations of the log Bayes factor below its mean: 0.5 % fall below
 DETECTION_POWER = 0.99  # of a cause of the typical size
-MIN_PROBABILITY = 0.05  # of the best pair; a program that promises less is not proposed
+MIN_PROBABILITY = 0.05  # of the best pair; a program with a smaller probability is not proposed
 MIN_ADDED_NATS = 0.1  # by a block
 USABLE_RANGE_SHARE = 0.9  # of the full scale of the gyroscope
 ACCELERATION_SHARES = (1.0, 0.5)  # of that of the recording
-BLOCKS_TRIED_AGAIN = 12  # at the second acceleration, beside those that are chosen at the first
+BLOCKS_TRIED_AGAIN = 12  # at the second acceleration, in addition to the blocks chosen at the first
 DEFAULT_FULL_SCALE_DEG_S = 250.0
 
 
 @dataclass(frozen=True, slots=True)
 class PairOutlook:
-    """What a program is expected to say about two causes."""
+    """Expected result of a program for two causes."""
 
-    causes: tuple[str, ...]  # one: it is compared with nothing
+    causes: tuple[str, ...]  # a single cause has no rival
     nats: float  # expected log Bayes factor, the smaller of both truths
-    probability: float  # that the truth becomes the only name, or that one cause is detected
+    probability: float  # that only the true cause is named, or that a single cause is detected
 
     @property
     def is_separated(self) -> bool:
@@ -75,11 +75,11 @@ class PairOutlook:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class NextExperiment:
-    """A motion program with what it is expected to say; no program where none helps."""
+    """A motion program with its expected results; None as program if no program helps."""
 
     program: MotionProgram | None
     duration_s: float
-    max_duration_s: float  # that was allowed
+    max_duration_s: float  # the allowed maximum
     outlooks: tuple[PairOutlook, ...]
 
 
@@ -107,7 +107,7 @@ def propose_program(
         unseen: causes that the program must show at their typical size.
 
     Returns:
-        None if no cause is ambiguous or unseen, or the reference is no pan-tilt unit.
+        None if no cause is ambiguous or unseen, or the reference is not a pan-tilt unit.
     """
     solution = judged_by_typical_noise(explanation.solution_extended)
     if not isinstance(solution.sessions[-1].reference, PanTiltReference):
@@ -129,7 +129,7 @@ def propose_program(
 
 
 def _ambiguous_groups(explanation: FitExplanation, solution: ConvergedFit) -> list[list[CausePair]]:
-    """Return the pairs of each ambiguous set, those of one cause of the fit together."""
+    """Return the pairs of each ambiguous set; those of one cause of the fit are together."""
     fitted = {term_label(cause.term): cause for cause in solution.fitted_terms}
     groups = []
     for cause in explanation.findings.causes:
@@ -148,9 +148,10 @@ class _Choice:
 
     blocks: tuple[MotionBlock, ...]
     settings: PtuSettings
-    worth_nats: float  # of all pairs, of each as much as a decision needs
-    is_lacking: bool  # whether a pair needs more
-    most_useful: tuple[MotionBlock, ...]  # of all blocks, each alone; the chosen ones first
+    worth_nats: float  # expected nats of all pairs, each limited to the nats that a decision needs
+    is_lacking: bool  # whether a pair needs more nats
+    # the chosen blocks first, then the best others, each alone
+    most_useful: tuple[MotionBlock, ...]
 
 
 class _Design:
@@ -171,7 +172,7 @@ class _Design:
         self.space = MotionSpace.of(unit, _fastest_deg_s(solution))
 
     def choose(self, acceleration_share: float, blocks: Iterable[MotionBlock]) -> _Choice:
-        """Choose blocks at an acceleration, one after the other, by what they add per second."""
+        """Choose blocks in sequence, at one acceleration, by their gain in nats per second."""
         settings = self._settings(acceleration_share)
         empty = program_of_blocks((), settings, PROGRAM_NAME)
         fixed_s = simulate_program(empty, self._unit).duration_s
@@ -202,7 +203,7 @@ class _Design:
         return _Choice(chosen_blocks, settings, worth, is_lacking, tuple(useful))
 
     def judge(self, choice: _Choice) -> NextExperiment:
-        """Return the program of a choice with its exact outlook."""
+        """Return the program of a choice with its exact expected results."""
         program = program_of_blocks(choice.blocks, choice.settings, PROGRAM_NAME)
         if not choice.blocks:
             outlooks = tuple(PairOutlook(pair.causes, 0.0, 0.0) for pair in self._pairs)
@@ -232,11 +233,11 @@ class _Design:
         return _Candidate(block, duration_s, tuple(products))
 
     def _worth(self, chosen: Sequence[_Candidate]) -> float:
-        """Return the expected nats of all pairs, of each as much as a decision needs."""
+        """Return the expected nats of all pairs, each limited to the nats that a decision needs."""
         return sum(min(nats, needed) for nats, needed in self._nats_and_needs(chosen))
 
     def _nats_and_needs(self, chosen: Sequence[_Candidate]) -> Iterator[tuple[float, float]]:
-        """Yield the expected nats of each pair, and those that a decision needs."""
+        """Yield for each pair the expected nats, and the nats that a decision needs."""
         for k, first_order in enumerate(self._first_order):
             new = reduce(add, (candidate.products[k] for candidate in chosen)) if chosen else None
             nats, gain_nats = first_order.outlook(new)
@@ -250,7 +251,7 @@ class _Design:
         return chi2_quantile(FALSE_ALARM_RATE / self._test_count, pair.size_count)
 
     def _detection_nats(self, pair: CausePair) -> float:
-        """Return the expected nats that a search needs to name a cause nearly always."""
+        """Return the expected nats with which a search almost always names a cause."""
         limit = self._detection_limit(pair)
         return 0.5 * chi2_noncentrality(limit, pair.size_count, DETECTION_POWER)
 
@@ -271,9 +272,9 @@ class _Design:
 
 
 def _sole_name_probability(nats: float, gain_nats: float) -> float:
-    """Return the probability that a truth becomes the only name, by its log Bayes factor.
+    """Return the probability that only the true cause is named, from its log Bayes factor.
 
-    The log Bayes factor of a truth with mean D has the variance 2 D.
+    A log Bayes factor with mean D has the variance 2 D if the cause is true.
     """
     if nats <= 0.0:
         return 0.0

@@ -1,4 +1,4 @@
-"""The recording that a program would make on the rig of a fit, without noise.
+"""Noise-free recording of a program on the rig of a fit, as the rig would make it.
 
 It has the gain, noise, output rate, low-pass, time offset and temperatures of the fit's last
 recording, and the unit's resolution, limits and reply times.
@@ -23,12 +23,12 @@ from gyrorig_solver.plan.unit_model import ARCSEC_PER_DEG, AxisModel, UnitModel,
 from gyrorig_solver.reference import PanTiltReference
 
 SIMULATED_NAME = "next-program"
-MAX_STEPS = 1e6  # per second or second squared; more is no unit
+MAX_STEPS = 1e6  # per second or second squared; larger values are not of a unit
 MAX_ANGLE_DEG = 360.0
 
 
 def recorded_unit(metadata: Mapping[str, str]) -> UnitModel | None:
-    """Return the model of a recording's unit; None if the recording does not say enough.
+    """Return the model of a recording's unit; None if the recording lacks the data for it.
 
     `metadata`: the record `gyrorig.ptu` of the recording.
     """
@@ -115,7 +115,7 @@ def _context_like(
 ) -> RecordingContext:
     before = context or RecordingContext()
     temperature = before.temperature
-    if temperature is not None:  # the board warms again as it did
+    if temperature is not None:  # the warm-up of the board repeats
         shifted_s = temperature.time_s - before.begin_s + time_s[0]
         temperature = BoardTemperature(
             shifted_s, temperature.degc, temperature.mean_degc, temperature.gradient_width_s

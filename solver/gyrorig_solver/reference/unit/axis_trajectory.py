@@ -26,7 +26,7 @@ class Trajectory:
     """One axis. Segments sorted by time; polynomials in seconds since their starts."""
 
     start_s: FloatArray  # (n,), not decreasing
-    move: IntArray  # (n,), the move of a segment, or of the rest after it; -1 before any
+    move: IntArray  # (n,), the move of a segment, or of the rest after it; -1 before the first move
     is_moving: BoolArray  # (n,)
     steps: FloatArray  # (3, n), position, with the offsets of the rests
     progress: FloatArray  # (3, n), covered share of the move
@@ -147,7 +147,7 @@ class _TrajectoryBuilder:
     def build(
         self, parameters: MotionParameters, profiles: Mapping[int, MotionProfile]
     ) -> Trajectory:
-        """Return the axis' track."""
+        """Return the trajectory of the axis."""
         table, axis_moves = self._table, self._axis_moves
         segment_counts = np.array(
             [profiles[k].start_s.size if k in profiles else SEGMENTS for k in axis_moves], dtype=int
@@ -170,7 +170,7 @@ class _TrajectoryBuilder:
             if axis == self._axis:
                 self._add_count_reset(counted_s, count)
         self._add_rest_offsets(parameters.rest_offset_steps)
-        # A move ends at the latest when the next one begins.
+        # A move ends at the latest when the next one starts.
         start_s = np.minimum.accumulate(self.start_s[::-1])[::-1]
         is_moving = (self.polynomials[0, 1] != 0.0) | (self.polynomials[0, 2] != 0.0)
         steps, progress, by_speed, by_acceleration, by_base_speed = self.polynomials

@@ -43,7 +43,7 @@ class CountedReference:
     rest_counts: tuple[tuple[int, ...], tuple[int, ...]]  # counts at the rests of each axis
     unknown_spans: tuple[tuple[float, float, str], ...]  # begin, end, reason
     rad_per_step: tuple[float, float]
-    values: FloatArray  # current values of the unknowns, steps; rests relative to `standing`
+    values: FloatArray  # current values of the unknowns, steps; rests relative to `rest_counts`
     prior_mean: FloatArray  # from the counts
     information: ArrowheadMatrix  # of that prior
     common_shift_std_s: float

@@ -1,7 +1,7 @@
 """Fit of the moves to the polled counts under a motion law that differs from the settings.
 
-The counts follow the motion that the unit executes. Under another law they have other starts, and
-they have information about the law itself. The variance of the rests stays that of the recorded
+The counts follow the motion that the unit executes. Under another law they give other start times,
+and they contain information about the law. The variance of the rests stays that of the recorded
 settings, so that the likelihoods of two laws can be compared.
 
 What to use when: `LawFits` for one recording; it keeps the fits of the last laws.
@@ -17,12 +17,12 @@ from gyrorig_solver.reference.unit.motion_law import RECORDED_LAW, MotionLaw
 from gyrorig_solver.reference.unit.move_fit import MoveFit, MoveFitIteration
 from gyrorig_solver.reference.unit.poll_objective import PollObjective
 
-KEPT_FITS = 4  # a step that is rejected returns to the law before
+KEPT_FITS = 4  # a rejected step returns to the previous law
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LawFit:
-    """The moves under one law, and what the counts say about the law."""
+    """The moves under one law, and the information of the counts about the law."""
 
     fit: MoveFit
     information: LawInformation  # about the law, in steps and seconds, at the fitted moves

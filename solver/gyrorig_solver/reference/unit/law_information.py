@@ -35,25 +35,25 @@ class LawInformation:
         )
 
     def after_step(self, step: FloatArray) -> Self:
-        """Return it at unknowns changed by `step`, shape (n + g,)."""
+        """Return the information at unknowns changed by `step`, shape (n + g,)."""
         return replace(self, score=self.score - self.cross.T @ step)
 
     def with_stage_rests(self, starts: int, rests: int) -> Self:
-        """Return it over starts, rests of the stage, rests of the count, then shared unknowns.
+        """Return the information over starts, rests of stage and of count, and shared unknowns.
 
         The counts do not depend on the rests of the stage.
         """
         return replace(self, cross=np.insert(self.cross, [starts] * rests, 0.0, axis=0))
 
     def subset(self, values: IntArray) -> Self:
-        """Return it for some values of the law; `values`: their positions, shape (k,)."""
+        """Return the information about values of the law; `values`: their positions, shape (k,)."""
         law_block = self.law_block[np.ix_(values, values)]
         return replace(
             self, cross=self.cross[:, values], law_block=law_block, score=self.score[values]
         )
 
     def scaled(self, scale: FloatArray) -> Self:
-        """Return it for values in other units; `scale`: their derivatives, shape (6,)."""
+        """Return the information in other units; `scale`: derivatives of the values, shape (6,)."""
         return replace(
             self,
             cross=self.cross * scale,
@@ -64,10 +64,10 @@ class LawInformation:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LawProfile:
-    """What the counts say about k values of a law if the moves follow the counts.
+    """Information of the counts about k values of a law if the moves follow the counts.
 
-    With other values of the law the counts give other moves. The unknowns of the moves are relative
-    to these, so that the counts do not couple them to the law.
+    With other values of the law, the counts give other moves. The unknowns of the moves are
+    relative to these moves, so that the counts do not couple them to the law.
     """
 
     shift: FloatArray  # (n + g, k), derivative of the fitted moves by the values

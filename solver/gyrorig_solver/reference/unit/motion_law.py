@@ -1,4 +1,4 @@
-"""Motion law of the unit: how it differs from the recorded settings.
+"""Motion law of the unit: its differences from the recorded settings.
 
 A unit can ramp with another acceleration, start at another base speed, or round the corners of its
 ramps. The position replies follow the motion that it executes, so a model with such a difference
@@ -23,12 +23,12 @@ LAW_VALUES = 2 * len(LAW_QUANTITIES)
 
 @dataclass(frozen=True, slots=True)
 class MotionLaw:
-    """Differences from the recorded settings, for pan and tilt. Zero: as recorded."""
+    """Differences from the recorded settings, for pan and tilt; zero means as recorded."""
 
     acceleration_share: tuple[float, float] = (0.0, 0.0)  # added to 1
     base_speed_steps_s: tuple[float, float] = (0.0, 0.0)  # added
     corner_s: tuple[float, float] = (0.0, 0.0)  # duration of the mean over the positions
-    # Axes whose acceleration is that of the law and no further unknown of the moves.
+    # Axes whose acceleration is given by the law and is not an additional unknown of the moves.
     has_known_acceleration: tuple[bool, bool] = (False, False)
     is_recorded: bool = False  # no difference is possible: the law is that of the settings
 

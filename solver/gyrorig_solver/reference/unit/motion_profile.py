@@ -1,9 +1,9 @@
 """Trapezoidal motion profile of a stepper axis, from rest to rest, with commands in motion.
 
-A profile consists of segments of constant acceleration. Below the base speed the speed changes
-at once; between base and upper speed it has ramps of one acceleration, up and down. A new target
-or speed acts from the current position. If the target is behind the axis, or too near to stop,
-the axis brakes through the base speed and returns (FLIR PTU command reference manual v3.00D,
+A profile consists of segments of constant acceleration. Below the base speed, the speed changes
+immediately; between base and upper speed it has ramps of one acceleration, up and down. A new
+target or speed acts from the current position. If the target is behind the axis, or too near to
+stop, the axis brakes through the base speed and returns (FLIR PTU command reference manual v3.00D,
 section 5). Units are steps and seconds, signed.
 
 What to use when: `plan_motion` for a profile; its methods give position, speed and progress.
@@ -56,7 +56,8 @@ class MotionProfile:
     start_speed_steps_s: FloatArray  # (n,), signed
     acceleration_steps_s2: FloatArray  # (n,), signed
     distance_steps: FloatArray  # (n,), distance covered before each segment
-    commands: tuple[ProfileCommand, ...] = ()  # that it executes; empty if it began in motion
+    # executed by this profile; empty if the profile starts in motion
+    commands: tuple[ProfileCommand, ...] = ()
 
     @property
     def end_s(self) -> float:
@@ -107,7 +108,7 @@ class MotionProfile:
 
 
 def plan_motion(start_steps: float, commands: Sequence[ProfileCommand]) -> MotionProfile:
-    """Return the profile of an axis that is at rest at `start_steps` and is given `commands`.
+    """Return the profile of an axis that is at rest at `start_steps` and receives `commands`.
 
     Args:
         start_steps: position at rest.

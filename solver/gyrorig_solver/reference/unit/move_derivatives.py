@@ -69,7 +69,7 @@ class AxisDerivatives:
         first = int(np.searchsorted(track.end_s, edges_s[0], side="right"))
         stop = max(first, int(np.searchsorted(track.begin_s, edges_s[-1])))
         begin = np.searchsorted(edges_s, track.begin_s[first:stop])
-        # A move ends at the latest when the next one begins.
+        # A move ends at the latest when the next one starts.
         end = np.searchsorted(edges_s, track.end_s[first:stop])
         end = np.minimum(end, np.append(begin[1:], edges_s.size))
         self._first, self._stop = first, stop
@@ -112,7 +112,7 @@ class AxisDerivatives:
 
         Args:
             law_rates: (6, n, 3), in the order of `LAW_QUANTITIES`.
-            law: that the motion follows.
+            law: motion law that the motion follows.
         """
         share = law.acceleration_share[self._axis]
         for move in self.moves:

@@ -62,7 +62,7 @@ class BandedNormalEquations:
 
         Args:
             local: each move's local unknowns, shape (m, a).
-            shared: its shared ones, numbered among themselves, shape (m, b).
+            shared: its shared unknowns, numbered among themselves, shape (m, b).
             gram: of their derivatives and, last, the residual; shape (m, a + b + 1, a + b + 1).
         """
         a, b = local.shape[1], shared.shape[1]
@@ -120,7 +120,7 @@ class BandedNormalEquations:
 
         Args:
             rests: slice of these unknowns; the system has no prior of them.
-            rest_steps: where they are now.
+            rest_steps: current values of these unknowns.
             variance: of their prior with mean zero.
         """
         rest_positions = self.band_position[rests]

@@ -8,10 +8,10 @@ constant that no poll can determine, uniform with the standard deviation W_min/s
 only adds to the uncertainty of the time offset. The counter of a controller replaces all
 windows by one (see `controller_counter`).
 
-A controller can count a step at its begin or at its end. Therefore the count can lag behind the
-motion, and can be truncated instead of rounded, by up to half a step; both are fitted. If all
-moves have one speed, the lag cannot be separated from late starts, and the covariance of the
-start times shows this.
+A controller can count a step at its beginning or at its end. Therefore the count can lag behind the
+motion, and can be truncated instead of rounded, by up to half a step; both are fitted. If all moves
+have one speed, the lag cannot be separated from late starts, and the covariance of the start times
+shows this.
 
 Speed and acceleration are also fitted, each with a tight prior at the commanded value, because
 the timer of a controller has a finite resolution (about 0.1 % of a speed).
@@ -55,7 +55,7 @@ UNPOLLED_START_PRIOR_STD_S = 0.02  # of other starts, relative to the delay of t
 INITIAL_ERROR_S = 0.2  # largest error of the initial delays
 MAX_ITERATIONS = 8
 MAX_STEP_FOR_VARIANCE_S = 5e-3  # largest step of the starts before the rest variance is estimated
-LAST_VARIANCE_ITERATION = 3  # from this iteration on it is estimated in any case
+LAST_VARIANCE_ITERATION = 3  # from this iteration on, the rest variance is estimated in any case
 VARIANCE_ESTIMATES = 2
 CONVERGENCE_S = 5e-7  # rms step of the starts, a hundredth of their uncertainty
 
@@ -88,7 +88,7 @@ class MoveFit:
 
     table: MoveTable
     parameters: MotionParameters
-    # Over starts, rests of the stage, rests of the count; shared: log speeds, log
+    # Over starts, rests of the stage, rests of the count. Shared unknowns: log speeds, log
     # accelerations, offset and lag of the count, and phi.
     information: ArrowheadMatrix
     common_shift_std_s: float  # of a common shift of all starts, which polls cannot determine
@@ -182,7 +182,7 @@ class MoveFitIteration:
         Args:
             table: of the moves, with the recorded settings.
             polls: of both axes.
-            law: that the unit executes; None: the recorded settings.
+            law: motion law that the unit executes; None: the recorded settings.
             rest_variance: of rests about their counts; None: estimated.
         """
         self._law = law or RECORDED_LAW
@@ -214,7 +214,7 @@ class MoveFitIteration:
             self._rest_variance, self._variance_estimates = rest_variance, VARIANCE_ESTIMATES
 
     def iterate(self) -> None:
-        """Take steps until they change nothing."""
+        """Take steps until convergence."""
         for iteration in range(MAX_ITERATIONS):
             self.step(iteration >= LAST_VARIANCE_ITERATION)
             if self.converged:
@@ -280,7 +280,7 @@ class MoveFitIteration:
         )
 
     def objective(self) -> PollObjective:
-        """Return the cost of other values of the unknowns, at the present weights of the counts."""
+        """Return the cost of other values of the unknowns, with current weights of the counts."""
         prior_weight = self._prior_weight.copy()
         prior_weight[self._layout.rests] = 1.0 / self._rest_variance
         spacing_s = self._poll_spacing_s
@@ -332,10 +332,10 @@ def _counts_near_moves(counts: AxisCounts, track: Trajectory) -> AxisCounts:
 
 
 class _StartDelays:
-    """Expected start times: those without polls get the median delay of the others.
+    """Expected start times; those without polls have the median delay of the others.
 
-    The first command of a move is determined by its counts. A command in motion may not be, and
-    neither is a move without polls (awaited, or too short).
+    The counts determine the first command of a move. They may not determine a command in motion,
+    nor the start of a move without polls (awaited, or too short).
     """
 
     def __init__(self, table: MoveTable, delay_s: FloatArray) -> None:
@@ -349,7 +349,7 @@ class _StartDelays:
         self.guess_s = self._command_s + np.where(np.isfinite(delays), delays, usual_delay_s)
 
     def expected_s(self, starts_s: FloatArray) -> FloatArray:
-        """Return the prior means of the starts, by the median delay of the polled ones."""
+        """Return the prior means of the starts, from the median delay of the polled ones."""
         if not self.is_polled.any():
             return self.guess_s
         usual_delay_s = float(np.median((starts_s - self._command_s)[self.is_polled]))

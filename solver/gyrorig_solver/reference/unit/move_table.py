@@ -24,7 +24,7 @@ class MotionParameters:
 class MoveTable:
     """m moves with s commands, and r rests between them.
 
-    Commands are numbered by move, rests by axis and time, as in `Motion.rests`.
+    Commands are numbered by move, rests by axis and time.
     """
 
     moves: tuple[Move, ...]

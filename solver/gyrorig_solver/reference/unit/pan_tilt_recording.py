@@ -28,11 +28,12 @@ _MAX_SETTING = 1e12
 UNUSABLE_STATUS = (
     PtuStatus.SYNCHRONY_LOST | PtuStatus.HOMING
 )  # with these bits the position is not an angle
-FIXED_AXIS_RAD = 1e-7  # step of an axis that the unit does not have: it stays at 0 exactly
+FIXED_AXIS_RAD = 1e-7  # step of an axis that the unit lacks; this axis is always exactly at 0
 FACTORY_BAUD = 9600.0
 BITS_PER_BYTE = 10  # 8N1
 QUERY_BYTES = 3  # `BT ` or `PP `, unless the recording states another number
-MAX_UNEXPLAINED_SHARE = 0.5  # of the counts in motion; above it the counts alone are used
+# of the counts in motion; with a larger share, only the counts are used
+MAX_UNEXPLAINED_SHARE = 0.5
 MAX_COUNT_ERROR_STEPS = 4.0  # the quantum of the count, its lag, and some start error
 MAX_START_ERROR_S = 0.005  # of a start that was not polled
 REST_DELAY_S = 1.0  # after the planned end of a move
@@ -116,7 +117,7 @@ def unexplained_spans(
             lost_count += int(np.sum(moving & (is_off | ~known)))
             lost_times.append(time_s[is_off & known])
         lost_s = np.concatenate(lost_times)
-        # Two such counts within the margins of each other make one span.
+        # Two such counts within the margins of each other form one span.
         new = np.flatnonzero(np.diff(lost_s, prepend=-np.inf) >= 3.0 * UNKNOWN_MARGIN_S)
         last_of = np.append(new, lost_s.size)[1:] - 1
         spans += [
@@ -155,7 +156,7 @@ def _compare_counts(
 
 
 def _speed(steps: FloatArray, time_s: FloatArray) -> FloatArray:
-    """Return the speed at each count, 0 where there are too few or they are one instant."""
+    """Return the speed at each count, 0 if there are too few or all have the same time."""
     if time_s.size < 2:
         return np.zeros_like(steps)
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -192,7 +193,7 @@ def _read_polls(
     steps = np.empty((usable.size, 2))
     steps[:, 0], steps[:, 1] = raw["pan_steps"][usable], raw["tilt_steps"][usable]
     for axis, name in enumerate(AXES):
-        if not _has_axis(metadata, name):  # it stays at 0
+        if not _has_axis(metadata, name):  # the axis stays at 0
             valid[:, axis], steps[:, axis] = True, 0.0
     polls = UnitPolls(earliest, latest, steps, valid)
     polls = _use_controller_counter(

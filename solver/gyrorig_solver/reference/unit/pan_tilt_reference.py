@@ -41,7 +41,8 @@ from gyrorig_solver.reference.unit.rounded_trajectory import build_executed_traj
 from gyrorig_solver.reference.unit.stage_kinematics import StageRateJacobian
 from gyrorig_solver.reference.unit.unit_moves import UnitMotion
 
-MAX_KNOWN_STD_RATIO = 0.5  # of a prior standard deviation; below it the replies determine a value
+# of a prior standard deviation; with a smaller ratio, the replies determine a value
+MAX_KNOWN_STD_RATIO = 0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,7 +76,7 @@ class PanTiltReference:
         return self._polled_fit.information
 
     def law_profile(self, law_values: IntArray) -> LawProfile:
-        """Return what the polls say about some values of the law.
+        """Return the information of the polls about some values of the law.
 
         The units are those of `MotionLaw.of_values`. `law_values`: their positions, shape (k,).
 
@@ -96,7 +97,7 @@ class PanTiltReference:
         return cost + self._law_fit.cost - self.law_fits.recorded_cost
 
     def cost_decrease(self, after: "PanTiltReference") -> float:
-        """Return the decrease of the cost by a step, at the present weights of the polls, nats."""
+        """Return the decrease of the cost by a step, with current weights of the polls, nats."""
         if self.law.is_recorded:
             return self.cost - after.cost
         objective, table = self._law_fit.objective, self.move_fit.table
@@ -196,8 +197,8 @@ class PanTiltReference:
     def log_acceleration(self) -> tuple[FloatArray, FloatArray]:
         """Logarithms of fitted over commanded acceleration, and their standard deviations.
 
-        From the replies alone, because other model errors change the accelerations of a fit. The
-        standard deviation is inf if the replies do not improve on the prior.
+        They are from the replies alone, because other model errors change the accelerations of a
+        fit. The standard deviation is inf if the replies do not improve on the prior.
         """
         table = self.move_fit.table
         shared_information = eliminate_local(

@@ -1,7 +1,7 @@
-"""Cost of the polled counts at any values of the moves' unknowns and of the motion law.
+"""Cost of the polled counts for any values of the moves' unknowns and of the motion law.
 
 The weights are those of one fit, so that the costs of two sets of values can be compared. Counts
-that were not used there are not used.
+that the fit did not use are not used here either.
 
 What to use when: `PollObjective.of` at a fit, then `cost` for other values.
 """
@@ -83,7 +83,7 @@ class PollObjective:
         Args:
             table: the moves with the recorded settings.
             values: in the order of `MoveFit.values`.
-            law: that the unit executes.
+            law: motion law that the unit executes.
             prior: under this law. The delays of other moves give the prior of an unpolled start.
         """
         rest, counted = table.command_count, table.command_count + table.rest_count

@@ -41,7 +41,7 @@ class _CommandPiece:
     begin_s: float
     end_s: float  # start of the next command
     start_index: int  # index of the start time; that of the predecessor if dated too early
-    state: tuple[float, float]  # steps and speed at the begin
+    state: tuple[float, float]  # steps and speed at the beginning
     kind: CommandKind
     target: float
     limits: MotionLimits
@@ -68,7 +68,7 @@ class _CommandPiece:
         """Return the derivatives of the positions and of the final state by one parameter."""
         ((name, size),) = step.items()
         backward = size
-        if name == "base_speed_steps_s":  # which cannot be negative
+        if name == "base_speed_steps_s":  # the base speed cannot be negative
             backward = min(size, self.limits.base_speed_steps_s)
         ahead, behind = self.profile(**{name: size}), self.profile(**{name: -backward})
         position = ahead.position_steps(time_s) - behind.position_steps(time_s)

@@ -1,7 +1,7 @@
 """The orders of a recording: neutral messages, or the commands of a recording without them.
 
 What to use when: `read_orders` for a recording; `translate_exchanges` for commands of a Directed
-Perception unit in text. Everything behind this module sees only neutral orders.
+Perception unit in text. All later modules use only neutral orders.
 """
 
 from collections.abc import Iterable
@@ -33,7 +33,7 @@ def read_orders(recording: Recording, byte_s: float, origin_ns: int) -> list[Uni
     Args:
         recording: with neutral orders, or with the commands of a Directed Perception unit.
         byte_s: transmission time of a byte.
-        origin_ns: the capture time at which 0 s is.
+        origin_ns: the capture time of 0 s.
     """
     raw = recording.motion_orders()
     if raw.size == 0:

@@ -1,9 +1,9 @@
 """The variance of rests about their counts, by type-II maximum likelihood.
 
-A controller that counts its steps rests exactly on a count. A controller that rounds a finer
-target rests up to half a step off. The polls in motion show the difference: the variance of the
-rests is that of the largest likelihood of all polls. The offset of the detent is added, because
-the gyro measures it and the counts do not.
+A controller that counts its steps rests exactly on a count. A controller that rounds a finer target
+rests up to half a step away from it. The polls in motion show the difference: the variance of the
+rests is the one with the largest likelihood of all polls. The offset of the detent is added,
+because the gyro measures it and the counts do not.
 """
 
 import numpy as np

@@ -5,7 +5,7 @@ The position is the mean of the planned position over a duration L about each in
 polynomial of the third degree in each segment.
 
 What to use when: `build_executed_trajectories` for both axes under a motion law;
-`RoundedTrajectory.of` for a planned trajectory. It is sampled as one.
+`RoundedTrajectory.of` for a planned trajectory. It is sampled in the same way as a planned one.
 """
 
 from dataclasses import dataclass, fields
@@ -22,7 +22,7 @@ from gyrorig_solver.reference.unit.axis_trajectory import (
 from gyrorig_solver.reference.unit.motion_law import MotionLaw
 from gyrorig_solver.reference.unit.move_table import MotionParameters, MoveTable
 
-MIN_CORNER_S = 1e-5  # the difference of integrals over less is rounding
+MIN_CORNER_S = 1e-5  # differences of integrals over shorter times are rounding errors
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -37,7 +37,7 @@ class RoundedTrajectory(Trajectory):
         if corner_s <= MIN_CORNER_S:
             return planned
         values = {field.name: getattr(planned, field.name) for field in fields(Trajectory)}
-        # A move begins half a duration before its plan and ends half a duration after it.
+        # A move starts half a duration before its plan and ends half a duration after it.
         values["begin_s"] = planned.begin_s - corner_s / 2.0
         values["end_s"] = planned.end_s + corner_s / 2.0
         return cls(**values, corner_s=corner_s)
@@ -66,7 +66,7 @@ class RoundedSample(SampledTrajectory):
 
     corner_s: float
     time_s: FloatArray  # (n,)
-    early: IntArray  # (n,), the segment at the begin of the mean
+    early: IntArray  # (n,), the segment at the beginning of the mean
     late: IntArray  # (n,), the segment at its end
 
     def subset(self, selection: BoolArray | IntArray | slice) -> Self:
@@ -83,7 +83,7 @@ class RoundedSample(SampledTrajectory):
 
     @property
     def move(self) -> IntArray:
-        """The current or last move; it begins half the duration before its plan."""
+        """The current or last move; it starts half the duration before its plan."""
         return self.trajectory.move[self.late]
 
     @property
@@ -95,8 +95,9 @@ class RoundedSample(SampledTrajectory):
     @property
     def progress(self) -> FloatArray:
         """Covered share of the move, 0 to 1."""
-        # The mean about the begin of a move contains the rest before it, where the share is 1 of
-        # the move before. Whole moves are added, so that the share rises from move to move.
+        # The mean about the beginning of a move contains the previous rest, in which the share of
+        # the previous move is 1. Whole moves are added, so that the share increases from move to
+        # move.
         trajectory = self.trajectory
         number = np.concatenate([[0], np.cumsum(np.diff(trajectory.move) != 0)]).astype(np.float64)
         number -= trajectory.move >= 0
@@ -111,7 +112,7 @@ class RoundedSample(SampledTrajectory):
         return np.asarray((0.5 * (early + late) - self.steps) / self.corner_s, dtype=np.float64)
 
     def _ends(self, polynomial: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return a polynomial at the begin and at the end of the mean."""
+        """Return a polynomial at the beginning and at the end of the mean."""
         half = 0.5 * self.corner_s
         start_s = self.trajectory.start_s
         pairs = ((self.early, self.time_s - half), (self.late, self.time_s + half))
@@ -124,7 +125,7 @@ class RoundedSample(SampledTrajectory):
         """Return the mean of a polynomial about each time."""
         start_s = self.trajectory.start_s
         integral = np.vstack([np.zeros(start_s.size), polynomial / [[1.0], [2.0], [3.0]]])
-        # The first rest has no beginning, so its integral counts from its end.
+        # The first rest has no beginning, so its integral starts at its end.
         first_s = start_s[min(1, start_s.size - 1)]
         begin_s = np.concatenate([[first_s], start_s[1:]])
         width_s = np.diff(begin_s)

@@ -106,7 +106,7 @@ def fit_segment(
 
     Args:
         axis: 0 pan, 1 tilt.
-        span_s: begin and end, both at rest.
+        span_s: beginning and end, both at rest.
         counts: at the rests before and after.
         at_s: sampling times of the counts, shape (n,).
         steps: the counts.

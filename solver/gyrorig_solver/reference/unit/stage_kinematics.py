@@ -57,7 +57,7 @@ class StageRateJacobian:
 
     @cached_property
     def cosine(self) -> FloatArray:
-        """Of the tilt, shape (n,)."""
+        """Cosine of the tilt, shape (n,)."""
         return self._of_tilt(np.cos)
 
     def rate(self, axis: int, change_steps: FloatArray, intervals: slice) -> FloatArray:
@@ -65,7 +65,7 @@ class StageRateJacobian:
         angle = self.rad_per_step[axis] * change_steps
         speed = np.diff(angle)
         speed /= self.width_s[intervals]
-        # The values of one axis are contiguous: filters run along the time.
+        # The values of one axis are contiguous, because filters run along the time axis.
         derivative = np.zeros((3, speed.size)).T
         if axis == 0:
             np.multiply(speed, self.sine[intervals], out=derivative[:, 1])

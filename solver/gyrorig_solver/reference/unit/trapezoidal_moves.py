@@ -3,8 +3,7 @@
 A move starts at the base speed, ramps to its upper speed, cruises, ramps down and stops. A short
 move has a triangular profile, a slow one has no ramps (FLIR PTU command reference manual v3.00D,
 section 5). The position and its derivatives by log speed and log acceleration are polynomials of
-the time since the start of a segment. `motion_profile` plans moves
-with several commands.
+the time since the start of a segment. `motion_profile` plans moves with several commands.
 """
 
 from dataclasses import dataclass
@@ -76,7 +75,7 @@ class TrapezoidalMoves:
 
     @property
     def by_speed(self) -> FloatArray:
-        """The derivative of `gone` by log speed, as `gone`.
+        """The derivative of `position` by log speed, as `position`.
 
         While cruising, x = v t - (v - b)^2 / 2a. On the ramp down, x = W - b q - a q^2 / 2 with q
         the remaining time, and the end changes: T = W/v + (v - b)^2 / (a v). A triangular
@@ -96,7 +95,7 @@ class TrapezoidalMoves:
 
     @property
     def by_acceleration(self) -> FloatArray:
-        """The derivative of `gone` by log acceleration, as `gone`; see `by_speed`.
+        """The derivative of `position` by log acceleration, as `position`; see `by_speed`.
 
         A triangular profile ends at T = 2 (p - b) / a, its peak p^2 = a W + b^2.
         """
@@ -117,9 +116,8 @@ class TrapezoidalMoves:
     def by_base_speed(self) -> FloatArray:
         """The derivative of `position` by the base speed, as `position`; see `by_speed`.
 
-        The end of a trapezoid changes by -2 (v - b) / (a v), that of a triangle by
-        2 (b / p - 1) / a.
-        A move without ramps does not depend on the base speed.
+        The end of a trapezoid changes by -2 (v - b) / (a v), that of a triangle by 2 (b / p - 1) /
+        a. A move without ramps does not depend on the base speed.
         """
         b, a, peak = self.base_speed, self.acceleration, self.peak_speed
         zeros = np.zeros_like(b)

@@ -23,9 +23,10 @@ from gyrorig_solver.reference.unit.motion_profile import (
 )
 
 AXES = ("pan", "tilt")
-# A command within this time after the predicted rest can find the axis still moving.
+# A command within this time after the predicted rest can arrive while the axis still moves.
 _REST_MARGIN_S = 0.02
-_MAX_REPLY_WAIT_S = 0.2  # of the margin for slow controllers; an awaited move replies at its end
+# of the margin for slow controllers; the reply to an awaited move comes at its end
+_MAX_REPLY_WAIT_S = 0.2
 _REST_LOOKBACK_S = 0.5
 
 RestCountLookup = Callable[
@@ -162,7 +163,8 @@ class _AxisState:
         self.pending: tuple[CommandKind, float] | None = None
         self.commands: list[MotionCommand] = []  # of the current move
         self.end_s = -np.inf
-        self._planned_move: tuple[Move, float] | None = None  # what `move` found last, and its end
+        # the last result of `move`, and its end
+        self._planned_move: tuple[Move, float] | None = None
 
     def move(self) -> Move:
         """Return the current move as commanded."""
@@ -258,7 +260,7 @@ class MotionReader:
             self._add_command(order, axis, "keep", 0)
 
     def _set_rate(self, order: UnitOrder, axis: _AxisState, value: float) -> None:
-        """Turn until the end of travel; a rate of 0 stops and leaves the speed of moves."""
+        """Turn until the end of travel; a rate of 0 stops and keeps the speed of moves."""
         if value == 0:
             self._halt_axis(order, axis)
         else:
@@ -297,7 +299,7 @@ class MotionReader:
         axis.steps, axis.pending = 0, None
 
     def _may_be_moving(self, order: UnitOrder, axis: _AxisState) -> bool:
-        """Return whether the axis can still move; finish a move that is over."""
+        """Return whether the axis can still move; finish a move that has ended."""
         if axis.commands and order.request_s > axis.end_s:
             self._finish_move(axis, order.request_s)
         return bool(axis.commands)
@@ -342,7 +344,7 @@ class MotionReader:
             axis.steps = rest_count
 
     def _finish_move(self, axis: _AxisState, until_s: float) -> None:
-        """Finish the current move; after a halt its end is taken from the counts."""
+        """Finish the current move; after a halt, its end is taken from the counts."""
         if not axis.commands:
             return
         after_s = axis.end_s
@@ -350,7 +352,7 @@ class MotionReader:
         if last_command.kind == "stop" or any(command.kind == "by" for command in axis.commands):
             rest_count = self._rest_count(axis.index, after_s, until_s)
             if rest_count is not None:
-                # A halted axis covers the same distance as a move to the position of the stop.
+                # A halted axis covers the same distance as in a move to the position of the stop.
                 if last_command.kind == "stop" and len(axis.commands) > 1:
                     last_command = axis.commands[-2]
                     axis.commands.pop()
