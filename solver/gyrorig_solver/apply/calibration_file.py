@@ -14,9 +14,10 @@ from gyrorig_solver.calibration import CalibrationDocument, parse_calibration
 from gyrorig_solver.calibration.document_checks import check_values
 
 BASE_PARAMETERS = ("bias", "scale", "nonorthogonality", "misalignment", "time_offset")
+# Terms of a fit to attitudes without a file among the causes: `discover.attitude.attitude_terms`.
+# A correction does not apply them: one is an error of the reference, the other is not explained.
+ATTITUDE_TERMS = ("reference_smoothing", "moving_bias")
 # The causes that a correction applies, with their parameters.
-# Errors of reference attitudes that a fit contains; they have no file among the causes.
-REFERENCE_CAUSES = ("reference_smoothing",)
 APPLIED_PARAMETERS = {
     "scale_quadratic": ("scale_quadratic",),
     "scale_cubic": ("scale_cubic",),
@@ -72,7 +73,7 @@ def check_parameters(document: CalibrationDocument, name: str) -> None:
     # One file per cause. The files are not imported: they need scipy.
     folder = files("gyrorig_solver") / "model" / "causes"
     cause_ids = {file.name.removesuffix(".py") for file in folder.iterdir()}
-    cause_ids |= set(REFERENCE_CAUSES)
+    cause_ids |= set(ATTITUDE_TERMS)
     for parameter in document.parameters:
         cause = parameter.partition(".")[0].partition("@")[0]
         known = (*BASE_PARAMETERS, *sorted(cause_ids))

@@ -10,6 +10,8 @@ from gyrorig_protocol.errors import InputError
 from gyrorig_solver import Calibration, cli
 from gyrorig_solver.apply import read_calibration
 from gyrorig_solver.calibration import CalibrationDocument
+from gyrorig_solver.discover.attitude.attitude_terms import attitude_terms
+from gyrorig_solver.model.catalogue import catalogue
 
 Captured = pytest.CaptureFixture[str]
 
@@ -61,6 +63,14 @@ def test_the_parameters_of_the_catalogue_are_known(
 ) -> None:
     entry = {"value": [0.0] * 3, "std": [0.0] * 3, "unit": "1"}
     assert Calibration(document(parameters={parameter: entry})).board == "GY80-0007"
+
+
+@pytest.mark.parametrize("cause", sorted(attitude_terms().keys() - catalogue().keys()))
+def test_the_parameters_of_a_fit_to_attitudes_are_known(
+    document: Callable[..., CalibrationDocument], cause: str
+) -> None:
+    entry = {"value": [0.0] * 3, "std": [0.0] * 3, "unit": "1"}
+    assert Calibration(document(parameters={cause: entry})).board == "GY80-0007"
 
 
 def test_a_missing_base_parameter_is_an_error(golden: Path) -> None:

@@ -16,6 +16,7 @@ from docs.measured import held_out_moves, sessions, write
 from docs.measured.printed import IMU_TK
 
 from gyrorig_protocol.recording.reader import read_recording
+from gyrorig_solver.apply import read_calibration
 from gyrorig_solver.calibration import parse_calibration
 from gyrorig_solver.pipeline import solve_recordings
 from gyrorig_solver.pipeline.solve_board import FINDINGS_SUFFIX
@@ -69,6 +70,12 @@ def test_what_they_write_keeps_the_contracts(
         check=False,
     )
     assert judged.returncode == 0, judged.stdout + judged.stderr
+
+
+def test_every_calibration_can_be_applied(measured: sessions.MeasuredSets) -> None:
+    paths = [p for p in measured.list_documents() if not p.name.endswith(FINDINGS_SUFFIX)]
+    boards = {read_calibration(path)[0].board.id for path in paths}
+    assert {"BROAD-1", "BROAD-2", "BROAD-3"} < boards
 
 
 def test_a_calibration_names_the_findings_beside_it(measured: sessions.MeasuredSets) -> None:
