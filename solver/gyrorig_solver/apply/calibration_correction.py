@@ -7,7 +7,11 @@ only the bias.
 import numpy as np
 
 from gyrorig_protocol.errors import InputError
-from gyrorig_solver.apply.calibration_file import APPLIED_PARAMETERS, BASE_PARAMETERS
+from gyrorig_solver.apply.calibration_file import (
+    APPLIED_PARAMETERS,
+    ATTITUDE_TERMS,
+    BASE_PARAMETERS,
+)
 from gyrorig_solver.apply.correction import Correction, Frame
 from gyrorig_solver.calibration import CalibrationDocument, Parameter, bias_curve, scale_curve
 from gyrorig_solver.data import FloatArray, TemperatureCurve
@@ -50,10 +54,8 @@ def build_correction(calibration: CalibrationDocument, frame: Frame = "stage") -
     for parameter in calibration.parameters:
         cause = parameter.partition(".")[0].partition("@")[0]
         if cause not in BASE_PARAMETERS and cause not in APPLIED_PARAMETERS:
-            not_applied.append(
-                f"the parameter {parameter} is not applied, because it describes the rig or "
-                "one recording"
-            )
+            reason = ATTITUDE_TERMS.get(cause, "it describes the rig or one recording")
+            not_applied.append(f"the parameter {parameter} is not applied, because {reason}")
     return Correction(
         frame=frame,
         inverse=inverse,

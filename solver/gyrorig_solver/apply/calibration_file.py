@@ -15,8 +15,11 @@ from gyrorig_solver.calibration.document_checks import check_values
 
 BASE_PARAMETERS = ("bias", "scale", "nonorthogonality", "misalignment", "time_offset")
 # Terms of a fit to attitudes without a file among the causes: `discover.attitude.attitude_terms`.
-# A correction does not apply them: one is an error of the reference, the other is not explained.
-ATTITUDE_TERMS = ("reference_smoothing", "moving_bias")
+# A correction does not apply them, for these reasons.
+ATTITUDE_TERMS = {
+    "reference_smoothing": "it describes the reference attitudes",
+    "moving_bias": "the solver knows no cause for this change of the bias in motion",
+}
 # The causes that a correction applies, with their parameters.
 APPLIED_PARAMETERS = {
     "scale_quadratic": ("scale_quadratic",),
