@@ -26,18 +26,27 @@ def with_next_experiment(
 ) -> BoardExplanation:
     """Return an explanation with the proposed program; arguments as for `next_experiment`.
 
-    If the unit allows none of the motions, a remark states why.
+    If the unit allows none of the motions, a remark states the reason. A remark also states why no
+    program can show the `unseen` causes.
     """
-    if explanation.fit_explanation is None or max_duration_s <= 0.0:
+    if max_duration_s <= 0.0:
         return explanation
+    fit_explanation = explanation.fit_explanation
+    if fit_explanation is None or not explanation.recordings[-1].ptu_positions().size:
+        reason = "the recordings have no motion unit"
+        return _with_reason(explanation, reason) if unseen else explanation
     try:
         proposed = next_experiment(
-            explanation.recordings, explanation.fit_explanation, unit, max_duration_s, unseen
+            explanation.recordings, fit_explanation, unit, max_duration_s, unseen
         )
     except UsageError as fault:
-        remark = f"no motion program is proposed, because {fault.problem}"
-        return replace(explanation, remarks=(*explanation.remarks, remark))
+        return _with_reason(explanation, fault.problem)
     return replace(explanation, next_experiment=proposed)
+
+
+def _with_reason(explanation: BoardExplanation, reason: str) -> BoardExplanation:
+    remark = f"no motion program is proposed, because {reason}"
+    return replace(explanation, remarks=(*explanation.remarks, remark))
 
 
 def next_experiment(

@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 from tests.hidden.truth.session import RecordedSession, RigDraw, record
 from tests.support.board_fits import explain_recordings
+from tests.support.reference_recordings import SimulatedGyro, record_turns
 
 from gyrorig_daemon.emulator.emulator_settings import InjectionRequest
 from gyrorig_protocol.identity import BoardId
@@ -144,6 +145,17 @@ def test_a_unit_without_room_is_a_remark(rig: AmbiguousRig) -> None:
     )
     assert explained.next_experiment is None
     assert "no motion program is proposed" in explained.remarks[-1]
+
+
+def test_a_cause_that_is_requested_without_a_unit_is_a_remark(tmp_path: Path) -> None:
+    recording = read_recording(record_turns(tmp_path / "r.mcap", SimulatedGyro()))
+    ((_, explanation),) = explain_boards({recording.board_ids[0]: [recording]})
+    assert isinstance(explanation, BoardExplanation)
+    assert with_next_experiment(explanation).remarks == explanation.remarks
+    explained = with_next_experiment(explanation, unseen=["g_sensitivity"])
+    assert explained.remarks[-1] == (
+        "no motion program is proposed, because the recordings have no motion unit"
+    )
 
 
 def test_a_program_shows_a_cause_that_the_recording_does_not(rig: AmbiguousRig) -> None:
