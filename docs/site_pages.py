@@ -143,8 +143,9 @@ def sensors() -> str:
     out = [
         "# Sensors",
         "",
-        "The profiles in `config/boards`: what a part's data sheet allows. A result outside of it "
-        "is said; a plan takes its noise from here. [Add one](../how-to/sensor-profile.md).",
+        "The profiles in `config/boards` contain the limits of the data sheets. A calibration with "
+        "a value outside these limits has a note. A plan uses the noise of a profile. "
+        "[Add a profile](../how-to/sensor-profile.md).",
         "",
         "| part | ranges, deg/s | deg/s/√Hz | zero rate, deg/s | per K | scale | cross-axis |",
         "|---|---|---|---|---|---|---|",
@@ -213,7 +214,9 @@ def formats() -> str:
                 )
                 open_structs += _find_structs(field.type)
     out += ["", "## Messages of a recording", ""]
-    out.append("MCAP, profile `ros2`, encoding `cdr`; `gyrorig_msgs` beside ROS 2's own types.")
+    out.append(
+        "MCAP, profile `ros2`, encoding `cdr`; the types are those of ROS 2 and of `gyrorig_msgs`."
+    )
     for name, text in SCHEMAS.items():
         out += ["", f"### {name}", "", "```text", text.split(SEPARATOR)[0].rstrip(), "```"]
     return "\n".join([*out, ""])

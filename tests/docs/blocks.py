@@ -106,7 +106,7 @@ def blocks(page: Path) -> Iterator[Block]:
         if block.kind in ("sh", "python") or block.how == "save":
             pending = block
         elif block.kind != "yaml" and _COMMAND_LINE.search(block.body):
-            raise DocumentError(f"{block.where}: commands stand in ```sh, to be run")
+            raise DocumentError(f"{block.where}: commands must be in a block ```sh")
     if pending is not None:
         yield pending
 
@@ -125,11 +125,11 @@ def _parse_block(page: Path, line: int, kind: str, body: str, marks: list[str]) 
         elif head in TREATMENTS and rest:
             how, detail = head, rest
         else:
-            raise DocumentError(f"{where}: how is it to be taken: {mark!r}?")
+            raise DocumentError(f"{where}: unknown mark {mark!r}")
     if how == "look" and detail not in REASONS:
-        raise DocumentError(f"{where}: look {detail!r}: say one of {', '.join(REASONS)}")
+        raise DocumentError(f"{where}: look {detail!r}: use one of {', '.join(REASONS)}")
     if place and place not in PLACES:
-        raise DocumentError(f"{where}: in {place!r}: say one of {', '.join(PLACES)}")
+        raise DocumentError(f"{where}: in {place!r}: use one of {', '.join(PLACES)}")
     return Block(page, line, kind, body, how, detail, place, tuple(before))
 
 

@@ -173,7 +173,7 @@ def _stop_server(process: subprocess.Popen[str], block: Block) -> None:
 
 
 def _exit_error(block: Block, code: int, output: str) -> DocumentError:
-    return DocumentError(f"{block.where}: left with {code}: {output.strip().splitlines()[-3:]}")
+    return DocumentError(f"{block.where}: exit status {code}: {output.strip().splitlines()[-3:]}")
 
 
 def _group_pages(paths: Sequence[Path]) -> list[list[Path]]:

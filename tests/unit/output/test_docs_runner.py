@@ -107,11 +107,11 @@ def test_a_file_that_cannot_be_saved_is_a_failure_of_its_page(tmp_path: Path) ->
 
 def test_what_fails_is_named_by_page_and_line(tmp_path: Path) -> None:
     tally = followed(tmp_path, "# x\n```sh\necho gone >&2; false\n```\n```sh\ntrue\n```\n")
-    assert tally.failure == "page.md:3: left with 1: ['gone']"
+    assert tally.failure == "page.md:3: exit status 1: ['gone']"
     assert tally.ran == 0
 
 
-@pytest.mark.parametrize(("code", "failure"), [(0, ""), (3, "page.md:4: left with 3")])
+@pytest.mark.parametrize(("code", "failure"), [(0, ""), (3, "page.md:4: exit status 3")])
 def test_what_serves_goes_on_and_has_to_end_well(tmp_path: Path, code: int, failure: str) -> None:
     served = ENDS_WELL.replace("CODE", str(code))
     tally = followed(
@@ -132,18 +132,18 @@ def test_four_is_done_with_something_left_open(tmp_path: Path) -> None:
         folder = tmp_path / program
         folder.mkdir()
         refused = followed(folder, f"```sh\n{ours}{program} leave 3\n```\n")
-        assert refused.failure.startswith("page.md:2: left with 3")
+        assert refused.failure.startswith("page.md:2: exit status 3")
 
 
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("```\ngyrorig solve a.mcap\n```\n", "commands stand in ```sh"),
-        ("```text\n$ sudo make install-service\n```\n", "commands stand in ```sh"),
-        ("<!-- test: look: no time -->\n```sh\nmake\n```\n", "look 'no time': say one of"),
-        ("<!-- test: in a dream -->\n```sh\nmake\n```\n", "in 'a dream': say one of"),
-        ("<!-- test: serve -->\n```sh\nmake\n```\n", "how is it to be taken: 'serve'?"),
-        ("<!-- test: later -->\n```sh\nmake\n```\n", "how is it to be taken: 'later'?"),
+        ("```\ngyrorig solve a.mcap\n```\n", "commands must be in a block ```sh"),
+        ("```text\n$ sudo make install-service\n```\n", "commands must be in a block ```sh"),
+        ("<!-- test: look: no time -->\n```sh\nmake\n```\n", "look 'no time': use one of"),
+        ("<!-- test: in a dream -->\n```sh\nmake\n```\n", "in 'a dream': use one of"),
+        ("<!-- test: serve -->\n```sh\nmake\n```\n", "unknown mark 'serve'"),
+        ("<!-- test: later -->\n```sh\nmake\n```\n", "unknown mark 'later'"),
     ],
 )
 def test_a_block_that_nobody_would_run_is_refused(tmp_path: Path, text: str, message: str) -> None:
