@@ -86,12 +86,16 @@ def test_a_missing_cause_is_listed(session_files: tuple[Path, Path], tmp_path: P
     names = document["twin"].get("posterior", {}).get("names", [])
     assert any(name.startswith("causes.") for name in names)
     del document["twin"]["posterior"]
+    document["twin"]["boards"]["GY80-1"]["unexplained"] = ["on pan (the bias changes)"]
     (tmp_path / "twin.yaml").write_text(dump_yaml(document))
     board = check(tmp_path, recording, draws=20)
     assert board["without_causes"] is None
     assert board["cause_gain_nats_per_s"] == 0.0
     assert board["different"]
     assert any("pan" in text for text in board["after"]["differences"])
+    assert board["unexplained"] == ["on pan (the bias changes)"]
+    page = (tmp_path / "twin-check.html").read_text()
+    assert "depends on pan (the bias changes). No known cause explains it" in page
 
 
 def test_a_folder_without_twin_is_refused(tmp_path: Path, session_files: tuple[Path, Path]) -> None:

@@ -153,6 +153,8 @@ class TwinBoard(_Part, frozen=True):
     clock: TwinClock = TwinClock()
     stamp_jitter: Scalar | None = None  # s, mean
     temperature: TwinTemperature | None = None
+    # Effects in the residual of the fit that no known cause explains; the twin does not have them.
+    unexplained: Annotated[tuple[Text, ...], msgspec.Meta(max_length=100)] = ()
 
 
 class TwinCause(_Part, frozen=True):

@@ -69,7 +69,17 @@ def measure_board(data: BoardData, criticised: CriticisedFit) -> TwinBoard:
         clock=_measure_clock(samples),
         stamp_jitter=stamp_jitter,
         temperature=_temperature_curve(data),
+        unexplained=_unexplained_effects(criticised),
     )
+
+
+def _unexplained_effects(criticised: CriticisedFit) -> tuple[str, ...]:
+    """Return the significant effects in the residual that no known cause explains."""
+    explanation = criticised.explanation
+    unexplained = None if explanation is None else explanation.findings.unexplained
+    if unexplained is None:
+        return ()
+    return tuple(test.description for test in (unexplained.leading, *unexplained.others))
 
 
 def _stated(value: float | None, unit: str) -> Scalar | None:

@@ -31,6 +31,7 @@ from gyrorig_solver.twin_check.check_wording import (
     p_text,
     residual_rms,
     residual_share_text,
+    unexplained_text,
     verdict_text,
 )
 from gyrorig_solver.twin_check.feature_comparison import FamilyComparison
@@ -53,17 +54,21 @@ NOT_DRAWN = ("bias", "clock", *TIMING, "stalls", "speed", "start_delay", "rest_p
 def render_check(check: TwinCheck) -> str:
     """Return the page as HTML."""
     differs = any(is_different(board.after) for board in check.boards)
+    lacks = any(check.twin.boards[board.board].unexplained for board in check.boards)
+    headline = "The twin still differs" if differs else "No difference found"
+    if lacks and not differs:
+        headline = "No difference found, but the twin lacks an effect without a known cause"
     view = {
         "title": "Simulation before / after / measured",
         "boards": ", ".join(dict.fromkeys(board.board for board in check.boards)),
         "created": check.twin.created,
-        "tone": "limited" if differs else "good",
-        "headline": "The twin still differs" if differs else "No difference found",
+        "tone": "limited" if differs or lacks else "good",
+        "headline": headline,
         "manager": manager_text(check),
         "gain": gain_text(check),
         "equations": cause_views(check.twin),
         "sections": [
-            _section(board)
+            _section(board, unexplained_text(check.twin, board.board))
             for board in sorted(check.boards, key=lambda board: not board.is_held_out)
         ],
         "draws": check.draws,
@@ -71,7 +76,7 @@ def render_check(check: TwinCheck) -> str:
     return fill_template("twin_check.html.j2", view)
 
 
-def _section(board: BoardCheck) -> dict[str, Any]:
+def _section(board: BoardCheck, unexplained: str) -> dict[str, Any]:
     before = by_key(board.before.comparisons)
     close_up = _close_up(board)
     rows = [
@@ -89,7 +94,7 @@ def _section(board: BoardCheck) -> dict[str, Any]:
     return {
         "name": f"{board.board} in {board.recording}",
         "kind": "not used for the fit" if board.is_held_out else "used for the fit",
-        "verdict": verdict_text(board),
+        "verdict": " ".join(text for text in (verdict_text(board), unexplained) if text),
         "tiles": [
             ("default simulation", board.before.nats_per_s, residual_rms(board.before)),
             *_calibrated_tile(board),

@@ -11,12 +11,13 @@ from typing import Any
 import numpy as np
 
 from gyrorig_protocol.twin import Scalar, Twin
-from gyrorig_solver.model import cause_display_unit, cause_equation, format_quantity
+from gyrorig_solver.model import cause_display_unit, cause_equation, format_quantity, plural
 from gyrorig_solver.twin_check.feature_comparison import FamilyComparison
 from gyrorig_solver.twin_check.recording_check import BoardCheck, StageCheck
 from gyrorig_solver.twin_check.twin_folder_check import TwinCheck
 
 TWIN_ALONE = "twin without its causes"
+MAX_SHOWN_EFFECTS = 3  # of those without a known cause; the JSON output lists all
 EXPLAINABLE_SHARE = 0.2  # rms in units of the noise; below it, a share is not informative
 FALSE_ALARM = 0.01  # probability for one board in one recording, all statistics together
 
@@ -210,6 +211,20 @@ def verdict_text(board: BoardCheck) -> str:
     return f"The twin differs from the measurement in {different} of {count} statistics."
 
 
+def unexplained_text(twin: Twin, board: str) -> str:
+    """Return the effects that the twin lacks because no cause explained them; empty without any."""
+    effects = twin.boards[board].unexplained
+    if not effects:
+        return ""
+    shown = "; ".join(effects[:MAX_SHOWN_EFFECTS])
+    others = len(effects) - MAX_SHOWN_EFFECTS
+    more = f"; and {plural(others, 'more effect')}" if others > 0 else ""
+    return (
+        f"In the recordings of the twin, a part of the residual depends {shown}{more}. No known "
+        "cause explains it, and the twin does not contain it."
+    )
+
+
 def summarise(check: TwinCheck) -> str:
     """Return the lines for the terminal."""
     lines = [manager_text(check)]
@@ -224,6 +239,8 @@ def summarise(check: TwinCheck) -> str:
         )
         lines.append(f"  {verdict_text(board)}")
         lines += [f"    {difference_text(comparison)}" for comparison in differences(board.after)]
+        unexplained = unexplained_text(check.twin, board.board)
+        lines += [f"  {unexplained}"] if unexplained else []
     return "\n".join(lines)
 
 
@@ -238,7 +255,13 @@ def to_plain(check: TwinCheck) -> dict[str, Any]:
         "schema": "gyrorig/twin-check/1",
         "draws": check.draws,
         "causes": [{"cause": cause.cause, "where": cause.where} for cause in check.twin.causes],
-        "boards": [_board_plain(board) for board in check.boards],
+        "boards": [
+            {
+                **_board_plain(board),
+                "unexplained": list(check.twin.boards[board.board].unexplained),
+            }
+            for board in check.boards
+        ],
         "failed": [{"recording": name, "error": str(fault)} for name, fault in check.failed],
     }
 

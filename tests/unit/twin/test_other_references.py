@@ -44,6 +44,7 @@ def test_attitudes_determine_the_whole_board(tmp_path: Path) -> None:
     assert np.abs((np.array(board.gain.value) - gyro.gain) / std).max() < 4.0
     assert twin.posterior is not None
     assert f"boards.{BOARD}.gain.0.0" in twin.posterior.names
+    assert board.unexplained == ()
 
 
 def test_a_check_without_a_unit_is_refused(tmp_path: Path) -> None:
