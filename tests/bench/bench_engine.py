@@ -187,7 +187,7 @@ def main() -> int:
     """Measure and print; 1 where a wanted time or memory is not reached."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--tree", type=Path, help="another source tree to compare with")
-    parser.add_argument("--only", help="one case")
+    parser.add_argument("--only", choices=list(CASES), help="one case")
     parser.add_argument("--turns", type=int, default=1)
     parser.add_argument("--recordings", type=Path, help="folder that keeps the recordings")
     parser.add_argument("--out", type=Path, help="write the figures there")
