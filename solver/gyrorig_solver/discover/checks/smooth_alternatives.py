@@ -237,18 +237,14 @@ def _bias_family(
         detail = (detail[:, None] + wave_numbers).ravel()
 
     def signal(scene: SignalState) -> Signals:
-        product: FloatArray | None = None
-        for covariate, span, count in covariates:
+        product = np.ones((1, scene.interval_count))
+        for k, (covariate, span, count) in enumerate(covariates):
             if span is None:
                 return AxisBiases(np.zeros((detail.size, scene.block_count)))
             waves = _cosine_basis(covariate(scene), span, count)
-            if product is None:  # no copy, because these are the largest arrays of a search
-                product = waves
-                continue
-            waves = np.concatenate([np.ones((1, scene.interval_count)), waves])
+            if k:
+                waves = np.concatenate([np.ones((1, scene.interval_count)), waves])
             product = (product[:, None] * waves).reshape(-1, scene.interval_count)
-        if product is None:
-            raise ValueError("a family needs at least one covariate")
         return on_each_axis(scene, product)
 
     return BasisFamily(name, description, (signal,), np.repeat(detail, 3))

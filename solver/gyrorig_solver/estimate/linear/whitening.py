@@ -45,8 +45,7 @@ class PartModel:
             rows = [self.rate.T, np.ones((1, used.size)), -self.columns.time_derivative]
             rows += list(self.columns.shared)
             rows += [column.T for column in self.cause_derivatives]
-            stacked = np.concatenate(rows)
-            stacked *= used
+            stacked = np.concatenate(rows) * used
             self._cache["everywhere"] = orthonormal_dct(stacked)
         return self._cache["everywhere"]
 
@@ -125,14 +124,14 @@ class WhitenedPart:
         std = np.sqrt(noise.dct_variance(n))
         spectra, packed = part.derivative_spectra(), part.columns.packed
         shared_count = part.columns.shared.shape[0]
-        columns = np.empty((3, 5 + len(spectra[7 + 3 * shared_count :]) // 3 + shared_count, n))
-        for axis in range(3):  # one axis at a time, because these are the largest arrays of a fit
-            spectra_of_axis = (
-                _axis_columns(spectra, gain[axis], axis, shared_count)
-                if part.pass_through is None
-                else _clipped_axis_columns(part, gain, axis)
-            )
-            np.divide(spectra_of_axis, std[:, axis], out=columns[axis])
+        columns = np.stack(
+            [
+                _axis_columns(spectra, gain[axis], axis, shared_count) / std[:, axis]
+                for axis in range(3)
+            ]
+            if part.pass_through is None
+            else [_clipped_axis_columns(part, gain, axis) / std[:, axis] for axis in range(3)]
+        )
         packed_signals = np.zeros((3, packed.values.shape[0], n))
         if packed.count:
             packed_signals = idct(
@@ -140,8 +139,7 @@ class WhitenedPart:
             )
         relative_std = part.relative_std
         if relative_std is not None:
-            for axis in range(3):
-                columns[axis] = relative_std.divide_spectra(columns[axis], axis)
+            columns = np.stack([relative_std.divide_spectra(columns[k], k) for k in range(3)])
             packed_signals = packed_signals / relative_std.values[:, None]
         return cls(columns, packed, np.asarray(packed_signals, dtype=np.float64), std, relative_std)
 
