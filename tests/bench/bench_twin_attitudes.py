@@ -26,11 +26,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
-from scipy.spatial.transform import Rotation
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
-from tests.support.rotation_error import total_rotation
+from tests.support.rotation_error import window_rotations
 
 from gyrorig_daemon.config import parse_rig
 from gyrorig_daemon.emulator.emulated_rig import EmulatedRig
@@ -42,6 +41,7 @@ from gyrorig_daemon.emulator.twin.twin_devices import link_delay_s
 from gyrorig_daemon.session.emulation_options import EmulationOptions
 from gyrorig_daemon.session.emulator_process import build_emulated_rig
 from gyrorig_protocol.recording.reader import read_recording
+from gyrorig_protocol.recording.recording import times_ns
 from gyrorig_solver.data.samples import GyroSamples, load_samples
 from gyrorig_solver.reference import AttitudeReference
 from gyrorig_solver.reference.attitude_reference import read_attitude
@@ -60,7 +60,7 @@ TRIALS = {
 SAME_SENSOR = (("02", "05", "07"), ("24", "03"))
 BOARD = "BROAD-1"
 LEAD_S = 1.0  # from power-up of the emulated board to the first attitude
-WINDOW_S, BLOCK_S, STEP_S = 1.0, 10.0, 0.005
+WINDOW_S, BLOCK_S = 1.0, 10.0
 MOVING_RAD_S = 0.05
 BOOTSTRAPS, SEED = 2000, 20261128
 BIN = Path(sys.executable).parent
@@ -117,10 +117,8 @@ def read_trial(name: str, data: Path, folder: Path) -> Trial:
     recording = read_recording(path)
     samples = load_samples(recording, BOARD)
     raw = recording.reference_attitude()
-    times_s = (raw["host_time"]["sec"].astype(np.int64) * 10**9 + raw["host_time"]["nanosec"]
-               - samples.origin_ns) * 1e-9  # fmt: skip
     attitude = read_attitude(
-        np.asarray(times_s, dtype=np.float64),
+        np.asarray((times_ns(raw["host_time"]) - samples.origin_ns) * 1e-9, np.float64),
         np.asarray(raw["orientation"], dtype=np.float64),
         np.asarray(raw["standard_deviation"], dtype=np.float64),
     )
@@ -207,17 +205,6 @@ def window_starts_s(trial: Trial) -> FloatArray:
     return np.asarray(starts[path > MOVING_RAD_S], dtype=np.float64)
 
 
-def window_rotations(time_s: FloatArray, rate_rad_s: FloatArray, starts_s: FloatArray) -> Rotation:
-    """Return the rotation in each window, as one `Rotation` of all windows."""
-    steps = round(WINDOW_S / STEP_S)
-    at = starts_s[:, None] + np.linspace(0.0, WINDOW_S, steps + 1)
-    spline = CubicSpline(time_s, rate_rad_s)
-    angle_sum = spline.antiderivative()(at.ravel()).reshape(starts_s.size, steps + 1, 3)
-    rate = spline(at.ravel()).reshape(starts_s.size, steps + 1, 3)
-    coning = np.cross(rate[:, :-1], rate[:, 1:]) * STEP_S**2 / 12.0
-    return total_rotation(np.diff(angle_sum, axis=1) + coning)
-
-
 def rms_with_interval(angle_rad: FloatArray, starts_s: FloatArray) -> str:
     """Return the rms in degrees with its 95 % interval, from a bootstrap over blocks."""
     _, block = np.unique(np.floor(starts_s / BLOCK_S), return_inverse=True)
@@ -241,10 +228,11 @@ def compare_pair(fitted: Trial, tested: Trial) -> Mapping[str, str]:
         predict_rates(tested.twin.read_bytes(), tested),
     )
     starts_s = window_starts_s(tested)
-    measured = window_rotations(tested.samples.time_s, tested.samples.rate_rad_s, starts_s)
+    time_s, windows = tested.samples.time_s, (starts_s, starts_s + WINDOW_S, WINDOW_S)
+    measured = window_rotations(time_s, tested.samples.rate_rad_s, *windows)
     cells = {}
     for name, prediction in zip(WAYS, predictions, strict=True):
-        predicted = window_rotations(tested.samples.time_s, prediction, starts_s)
+        predicted = window_rotations(time_s, prediction, *windows)
         angle = np.asarray((measured.inv() * predicted).magnitude(), dtype=np.float64)
         cells[name] = rms_with_interval(angle, starts_s)
     return {**cells, "windows": str(starts_s.size)}

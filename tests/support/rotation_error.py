@@ -86,19 +86,11 @@ def window_rotation_error(
             f"gyro and reference attitude have no common window of {window_s:g} s",
             "record both for longer",
         )
-    steps = max(2, int(np.ceil(window_s / INTEGRATION_STEP_S)))
-    spline = CubicSpline(time_s, rate_rad_s)
     first, last = attitude.time_s[begin], attitude.time_s[end]
-    fraction = np.linspace(0.0, 1.0, steps + 1)
-    at = first[:, None] + fraction * (last - first)[:, None]
-    rate = spline(at.ravel()).reshape(begin.size, steps + 1, 3)
-    angle_sum = spline.antiderivative()(at.ravel()).reshape(begin.size, steps + 1, 3)
-    step_s = np.diff(at, axis=1)[:, :, None]
-    # The integral of the rate, and the coning term of `rotations.turn_vectors`.
-    vectors = np.diff(angle_sum, axis=1) + np.cross(rate[:, :-1], rate[:, 1:]) * step_s**2 / 12.0
+    measured = window_rotations(time_s, rate_rad_s, first, last, window_s)
     q = attitude.orientation_xyzw
     true = Rotation.from_quat(q[begin]).inv() * Rotation.from_quat(q[end])
-    angle = np.asarray((true.inv() * total_rotation(vectors)).magnitude(), dtype=np.float64)
+    angle = np.asarray((true.inv() * measured).magnitude(), dtype=np.float64)
     return RotationError(
         angle_rad=angle,
         begin_s=first,
@@ -106,6 +98,34 @@ def window_rotation_error(
         rms_rad=float(np.sqrt(np.mean(angle**2))),
         interval_rad=_interval(angle),
     )
+
+
+def window_rotations(
+    time_s: FloatArray,
+    rate_rad_s: FloatArray,
+    first_s: FloatArray,
+    last_s: FloatArray,
+    window_s: float,
+) -> Rotation:
+    """Return the rotation of a body rate over each window, as one `Rotation` of n windows.
+
+    Args:
+        time_s: of the rates, shape (m,).
+        rate_rad_s: body rates, shape (m, 3).
+        first_s: begin of each window, shape (n,).
+        last_s: end of each window, shape (n,).
+        window_s: nominal length, for the number of integration steps.
+    """
+    steps = max(2, int(np.ceil(window_s / INTEGRATION_STEP_S)))
+    spline = CubicSpline(time_s, rate_rad_s)
+    fraction = np.linspace(0.0, 1.0, steps + 1)
+    at = first_s[:, None] + fraction * (last_s - first_s)[:, None]
+    rate = spline(at.ravel()).reshape(first_s.size, steps + 1, 3)
+    angle_sum = spline.antiderivative()(at.ravel()).reshape(first_s.size, steps + 1, 3)
+    step_s = np.diff(at, axis=1)[:, :, None]
+    # The integral of the rate, and the coning term of `rotations.turn_vectors`.
+    vectors = np.diff(angle_sum, axis=1) + np.cross(rate[:, :-1], rate[:, 1:]) * step_s**2 / 12.0
+    return total_rotation(vectors)
 
 
 def _windows(
