@@ -2,9 +2,9 @@
 """Memory of a recording in real time: what Python has allocated, and where it rises.
 
 `gyrorigd record` runs with emulated devices on pseudo-terminals. Python's tracemalloc is active in
-its process. A first snapshot is taken after `--settle` minutes, when the heap has its shape, and a
-second one at the end. The bench prints the slope of the traced memory between the two, the lines
-of code that allocated most of the rise, and the resident memory of every process.
+its process. A first snapshot is taken after `--settle` minutes, when the heap has its shape, and
+another one every 10 minutes. The bench prints the slope of the traced memory since the first one,
+the lines of code that allocated most of the rise, and the resident memory of every process.
 
 Run: python tests/bench/bench_memory.py [--minutes 180] [--boards 6] [--json OUT.json]
 """
@@ -29,6 +29,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 from tests.bench.daemon_load.process_watcher import ProcessWatcher, usage
 
 EVERY_S = 30.0
+COMPARE_EVERY = 20  # readings, 10 minutes
 LARGEST = 8  # lines of code that are listed
 CYCLE_S = 12.8  # of a repetition of the motion, roughly
 MAX_SLOPE_KB_PER_H = 1024.0
@@ -67,6 +68,7 @@ class MemoryTrace:
         self._path, self._settle_s = path, settle_s
         self._first: tracemalloc.Snapshot | None = None
         self._lines: list[dict[str, float]] = []
+        self._rises: list[dict[str, Any]] = []
         self._began_s = time.monotonic()
         self._ended = threading.Event()
         self._thread = threading.Thread(target=self._run, daemon=True)
@@ -81,24 +83,28 @@ class MemoryTrace:
             )
             if self._first is None and minutes * 60.0 >= self._settle_s:
                 self._first = _take_snapshot()
-                self.write()
-            elif len(self._lines) % 20 == 0:
-                self.write()
+            elif len(self._lines) % COMPARE_EVERY == 0:
+                self.compare()
 
-    def write(self) -> None:
-        """Write the trace, with the rise since the first snapshot."""
-        rises = []
+    def compare(self) -> None:
+        """Keep the rises since the first snapshot, and write the trace."""
         if self._first is not None:
             differences = _take_snapshot().compare_to(self._first, "lineno")
-            rises = [
+            self._rises = [
                 {"line": str(change.traceback[0]), "kb": change.size_diff / 1024.0}
                 for change in differences[:LARGEST]
             ]
-        document = {"settle_min": self._settle_s / 60.0, "trace": self._lines, "rises": rises}
+        self.write()
+
+    def write(self) -> None:
+        """Write the trace, with the rises of the last comparison."""
+        document = {
+            "settle_min": self._settle_s / 60.0, "trace": self._lines, "rises": self._rises
+        }  # fmt: skip
         self._path.write_text(json.dumps(document), encoding="utf-8")
 
     def stop(self) -> None:
-        """End the thread and write the trace."""
+        """End the thread and write the trace; the recording has freed its memory by now."""
         self._ended.set()
         self._thread.join()
         self.write()
