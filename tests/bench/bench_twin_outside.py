@@ -23,6 +23,7 @@ from typing import Any
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
+from tests.bench.bench_twin_check import read_rows
 from tests.hidden.truth.draws import draw_session, make_requests
 from tests.hidden.truth.session import record
 
@@ -100,8 +101,7 @@ def main() -> int:
     parser.add_argument("--first-seed", type=int, default=FIRST_SEED)
     parser.add_argument("--draws", type=int, default=20)
     options = parser.parse_args()
-    text = options.results.read_text("utf-8") if options.results.exists() else ""
-    rows = [json.loads(line) for line in text.splitlines() if line.strip()]
+    rows = read_rows(options.results)
     finished = {row["seed"] for row in rows}
     for seed in range(options.first_seed, options.first_seed + options.sessions):
         if seed in finished:

@@ -263,7 +263,7 @@ def test_a_shell_completes(
 @pytest.mark.parametrize("program", sorted(man.SUMMARIES))
 def test_the_manual_is_of_todays_commands(program: str) -> None:
     page = (man.PAGES / f"{program}.1").read_text(encoding="utf-8")
-    assert page == man.make_page(program), "make docs writes it anew"
+    assert page == man.make_page(program), "run `make docs` to write the page again"
 
 
 def test_the_solver_alone_imports_a_recording_with_the_wheels_own_map(
