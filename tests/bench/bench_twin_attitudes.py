@@ -4,9 +4,9 @@
     python tests/bench/bench_twin_attitudes.py [--data FOLDER]
 
 The trials have reference attitudes and no motion unit. `gyrorig twin` makes a twin from each
-trial. The emulated board of the twin is then moved as the reference attitudes of another trial
-state, and its noise-free rates are compared with the measured ones: both are integrated over
-windows of 1 s, and the error is the angle between the two rotations. The same is done with the
+trial. The bench then moves the emulated board of the twin along the reference attitudes of another
+trial. It integrates the noise-free rates and the measured rates over windows of 1 s. The error is
+the angle between the two rotations. The same is done with the
 default simulation, with an ideal sensor, and with the twin of the tested trial itself. Intervals
 of 95 % come from a bootstrap over blocks of 10 s.
 
@@ -69,7 +69,7 @@ WAYS = ("default simulation", "ideal sensor", "twin", "twin of the tested trial"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class AttitudeStage(Stage):
-    """A stage that moves as reference attitudes state. The two axes of a unit do not move."""
+    """A stage that follows reference attitudes. The two axes of a unit do not move."""
 
     angle_sum: CubicSpline | None = None  # integral of the body rate over time since power-up
 
