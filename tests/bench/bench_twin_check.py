@@ -55,7 +55,7 @@ def check_rig(folder: Path, seed: int, options: argparse.Namespace) -> dict[str,
     subprocess.run(list(map(str, words)), check=True, capture_output=True)
     simulator = Simulator("after", folder / "twin" / "twin.yaml")
     draws = range(options.draws + 1)
-    runs = list(run_draws(simulator, measured, draws, folder, lambda: None))
+    (runs,) = run_draws([(simulator, draws)], measured, folder, lambda: None)
     board = check_board(measured, measured.board_ids[0], True, runs[:6], (), runs)
     after = board.after
     return {
@@ -66,6 +66,7 @@ def check_rig(folder: Path, seed: int, options: argparse.Namespace) -> dict[str,
         "ceiling_nats_per_s": after.ceiling_nats_per_s,
         "draws_nats_per_s": after.draws_nats_per_s.tolist(),
         "statistics": {c.family.key: c.p_value for c in after.comparisons},
+        "z": {c.family.key: c.z.tolist() for c in after.comparisons},
     }
 
 

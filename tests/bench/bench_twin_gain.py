@@ -31,7 +31,7 @@ import yaml
 
 from gyrorig_protocol.recording.reader import read_recording
 from gyrorig_solver.twin_check.recording_check import BoardCheck, check_board
-from gyrorig_solver.twin_check.simulation import SimulatedRun, Simulator, run_draws
+from gyrorig_solver.twin_check.simulation import Simulator, run_draws
 from gyrorig_solver.twin_check.twin_folder_check import calibrated_rig_text, default_rig_text
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -113,14 +113,12 @@ def measure_case(case: dict[str, Any], options: argparse.Namespace) -> dict[str,
         twin = yaml.safe_load((folder / "twin" / "twin.yaml").read_text("utf-8"))["twin"]
         truth = Simulator("truth", RIG, is_twin=False, arguments=rig_words(case))
         after = Simulator("twin", folder / "twin" / "twin.yaml")
-
-        def run(simulator: Simulator) -> list[SimulatedRun]:
-            out = folder / simulator.name
-            return list(run_draws(simulator, measured, range(options.draws + 1), out, lambda: None))
-
-        default, *plain = (run(simulator) for simulator in write_simulators(folder / "twin"))
+        simulators = [*write_simulators(folder / "twin"), after, truth]
+        draws = range(options.draws + 1)
+        default, *plain, runs, truth_runs = run_draws(
+            [(simulator, draws) for simulator in simulators], measured, folder, lambda: None
+        )
         board = measured.board_ids[0]
-        runs, truth_runs = run(after), run(truth)
         # The same comparison twice: the middle place takes any simulation.
         by_truth = check_board(measured, board, True, default, truth_runs, runs)
         without = check_board(measured, board, True, default, plain[0], runs) if plain else None

@@ -82,6 +82,7 @@ def emulation_options(options: dict[str, Any], session_s: tuple[float, float]) -
         twin_recording=options.get("twin_recording"),
         truth=options["truth"],
         rates=options.get("rates"),
+        with_plain_rates=not options.get("rates_of_session", False),
         hide=options["hide"],
         noise_free=options["noise_free"],
         soak_k=options["soak"],

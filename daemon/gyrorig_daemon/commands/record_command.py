@@ -86,6 +86,12 @@ SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
     "and without the hidden causes (npz). With --sessions: one file per session, with the number "
     "of the session after its name (rates-1.npz).",
 )
+@click.option(
+    "--rates-of-session",
+    is_flag=True,
+    help="With --rates: write only the rates of the session, with its hidden causes. This takes "
+    "less time.",
+)
 @emulation_flags
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object per session.")
 @click.pass_context

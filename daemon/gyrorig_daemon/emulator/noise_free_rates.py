@@ -1,8 +1,10 @@
 """Noise-free rates of an emulated rig, with and without the injected causes.
 
-Two twins of a rig replay the commands of its axes at the same times; only the physics runs. The
-difference of their rates is the effect of the injected causes alone. The difference of two
-recordings is not, because a cause that delays a move also delays every later command.
+`simulate_session_rates` returns the rates of a session, and `compare_noise_free` also those without
+the injected causes. For both, rigs without noise replay the commands of the axes at the same times,
+and only the physics runs. The difference of both rates is the effect of the injected causes alone.
+The difference of two recordings is not, because a cause that delays a move also delays every later
+command.
 """
 
 from collections.abc import Mapping, Sequence
@@ -30,33 +32,50 @@ _MARGIN_S = 0.1  # after the end, for a block that has begun
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class NoiseFreeRates:
+class SessionRates:
     """Rates of one board, sample by sample, before rounding to counts."""
 
     number: NDArray[np.int64]  # of the sample since power-up; 16 bits are transmitted, (n,)
     time_s: FloatArray  # of data-ready since power-up, on the host's clock, (n,)
     hidden_rad_s: FloatArray  # with the injected causes, (n, 3)
+    between_rad_s: FloatArray | None  # the same, half a sample before `time_s`; None: not computed
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class NoiseFreeRates(SessionRates):
+    """Rates of one board with and without the injected causes."""
+
     plain_rad_s: FloatArray  # without them, (n, 3)
     aligned_rad_s: FloatArray  # without them, at the delay with the best fit, (n, 3)
     slope_rad_s2: FloatArray  # time derivative of the aligned rates, (n, 3)
-    # With the injected causes, half a sample before `time_s`, (n, 3); None if not computed.
-    between_rad_s: FloatArray | None = None
 
 
-def compare_noise_free(
-    rig: EmulatedRig, until_ns: int, plain: RigTruth | None = None
-) -> dict[str, NoiseFreeRates]:
-    """Return the rates of each board by name.
+def simulate_session_rates(
+    rig: EmulatedRig, until_ns: int, with_between: bool = True
+) -> dict[str, SessionRates]:
+    """Return the rates of each board by name, with the injected causes.
 
     Corrupted, swapped and lost counts are not included, because they occur after the rate.
 
     Args:
         rig: after its session.
         until_ns: end, on the rig's clock.
+        with_between: compute `between_rad_s` as well.
+    """
+    return _replay_session(rig, rig.origin_ns, _axis_commands(rig), until_ns, with_between)
+
+
+def compare_noise_free(
+    rig: EmulatedRig, until_ns: int, plain: RigTruth | None = None
+) -> dict[str, NoiseFreeRates]:
+    """Return the rates of each board by name, with and without the injected causes.
+
+    Args:
+        rig: after its session.
+        until_ns: end, on the rig's clock.
         plain: the truth without causes; sampled from the seed by default.
     """
-    commands = {"pan": rig.stage.pan.commands, "tilt": rig.stage.tilt.commands}
-    twin = RigTwin(rig.settings, rig.origin_ns, commands, until_ns, plain)
+    twin = RigTwin(rig.settings, rig.origin_ns, _axis_commands(rig), until_ns, plain)
     return twin.rates(rig, with_between=True)
 
 
@@ -84,10 +103,10 @@ class RigTwin:
             truth: truth without causes; sampled from the seed by default.
         """
         self._settings = replace(settings, noise_free=True, injections=())
-        self._origin_ns, self._commands = origin_ns, commands
+        self._origin_ns, self._until_ns, self._commands = origin_ns, until_ns, commands
         self._until_s = (until_ns - origin_ns) * 1e-9
         self._plain = EmulatedRig(self._settings, origin_ns, truth)
-        self._replay_commands(self._plain)
+        _replay_commands(self._plain, commands)
         self._cached_rates: dict[tuple[str, int], FloatArray] = {}
 
     def rates(self, rig: EmulatedRig, with_between: bool = False) -> dict[str, NoiseFreeRates]:
@@ -97,31 +116,23 @@ class RigTwin:
             rig: with the causes.
             with_between: compute `between_rad_s` as well.
         """
-        settings = replace(rig.settings, noise_free=True)
-        injected_rig = EmulatedRig(settings, self._origin_ns, rig.truth, rig.extra_effects)
-        self._replay_commands(injected_rig)
+        session = _replay_session(
+            rig, self._origin_ns, self._commands, self._until_ns, with_between
+        )
         rates = {}
-        for board in settings.boards:
-            time_s, injected_rad_s = _simulate_rates(injected_rig, board, self._until_s)
-            aligned, slope = self._aligned(board, injected_rad_s)
-            plain_rad_s = self._delayed_by_steps(board, 0)
-            between = None
-            if with_between:
-                half_s = 0.5 / rig.board_truth(board.name).imu.odr_hz
-                between = _simulate_rates(injected_rig, board, self._until_s, half_s)[1]
+        for board in rig.settings.boards:
+            own = session[board.name]
+            aligned, slope = self._aligned(board, own.hidden_rad_s)
             rates[board.name] = NoiseFreeRates(
-                np.arange(len(time_s)), time_s, injected_rad_s, plain_rad_s, aligned, slope, between
+                own.number,
+                own.time_s,
+                own.hidden_rad_s,
+                own.between_rad_s,
+                plain_rad_s=self._delayed_by_steps(board, 0),
+                aligned_rad_s=aligned,
+                slope_rad_s2=slope,
             )
         return rates
-
-    def _replay_commands(self, twin: EmulatedRig) -> None:
-        for axis, commands in (
-            (twin.stage.pan, self._commands["pan"]),
-            (twin.stage.tilt, self._commands["tilt"]),
-        ):
-            axis.replay(
-                commands[len(axis.commands) :]
-            )  # without the commands of the power-up, which it has executed
 
     def _delayed_by_steps(self, board: BoardSettings, delay_steps: int) -> FloatArray:
         """Return the plain rates, delayed by a number of grid steps; computed once."""
@@ -178,7 +189,7 @@ def move_starts_s(rig: EmulatedRig) -> list[tuple[str, float]]:
 
 
 def write_rates(
-    path: Path, rates: Mapping[str, NoiseFreeRates], moves_s: Sequence[tuple[str, float]]
+    path: Path, rates: Mapping[str, SessionRates], moves_s: Sequence[tuple[str, float]]
 ) -> None:
     """Write rates as an npz file: BOARD.number, BOARD.time_s and so on; pan_s, tilt_s of moves.
 
@@ -201,6 +212,38 @@ def write_rates(
             f"the output file {path} of --rates cannot be written ({error.strerror})",
             "choose another file with --rates",
         ) from error
+
+
+def _axis_commands(rig: EmulatedRig) -> dict[str, Sequence[AxisCommand]]:
+    return {"pan": rig.stage.pan.commands, "tilt": rig.stage.tilt.commands}
+
+
+def _replay_commands(rig: EmulatedRig, commands: Mapping[str, Sequence[AxisCommand]]) -> None:
+    for axis, own in ((rig.stage.pan, commands["pan"]), (rig.stage.tilt, commands["tilt"])):
+        axis.replay(own[len(axis.commands) :])  # without those of the power-up: they were executed
+
+
+def _replay_session(
+    rig: EmulatedRig,
+    origin_ns: int,
+    commands: Mapping[str, Sequence[AxisCommand]],
+    until_ns: int,
+    with_between: bool,
+) -> dict[str, SessionRates]:
+    """Return the rates of a rig without noise that replays the commands, by board."""
+    settings = replace(rig.settings, noise_free=True)
+    silent_rig = EmulatedRig(settings, origin_ns, rig.truth, rig.extra_effects)
+    _replay_commands(silent_rig, commands)
+    until_s = (until_ns - origin_ns) * 1e-9
+    rates = {}
+    for board in settings.boards:
+        time_s, hidden_rad_s = _simulate_rates(silent_rig, board, until_s)
+        between = None
+        if with_between:
+            half_s = 0.5 / rig.board_truth(board.name).imu.odr_hz
+            between = _simulate_rates(silent_rig, board, until_s, half_s)[1]
+        rates[board.name] = SessionRates(np.arange(len(time_s)), time_s, hidden_rad_s, between)
+    return rates
 
 
 def _simulate_rates(

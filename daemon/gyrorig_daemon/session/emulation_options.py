@@ -30,6 +30,7 @@ class EmulationOptions:
     twin_recording: str | None = None  # whose single events happen, see `make_twin_rig`
     truth: Path | None = None
     rates: Path | None = None  # see `emulator.noise_free_rates`
+    with_plain_rates: bool = True  # write also the rates without the hidden causes
     hide: tuple[str, ...] = ()  # see `causes.parse_injection`
     noise_free: bool = False
     soak_k: float = 0.0

@@ -162,6 +162,7 @@ def record_in_simulated_time(task: RecordTask) -> Path:
     from gyrorig_daemon.emulator.noise_free_rates import (  # noqa: PLC0415
         compare_noise_free,
         move_starts_s,
+        simulate_session_rates,
         write_rates,
     )
     from gyrorig_daemon.emulator.virtual_hub import VirtualHub  # noqa: PLC0415
@@ -210,7 +211,11 @@ def record_in_simulated_time(task: RecordTask) -> Path:
     path = _record(hub, task.request, environment)
     truth.write_full_truth(POWER_UP_NS, hub.now_ns())
     if task.emulation.rates is not None:
-        rates = compare_noise_free(rig, hub.now_ns(), built.plain)
+        rates = (
+            compare_noise_free(rig, hub.now_ns(), built.plain)
+            if task.emulation.with_plain_rates
+            else simulate_session_rates(rig, hub.now_ns())
+        )
         write_rates(task.emulation.rates, rates, move_starts_s(rig))
     return path
 

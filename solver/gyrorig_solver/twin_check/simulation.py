@@ -6,7 +6,7 @@ noise-free rates of its sensors, which no real rig can give.
 One process runs several draws in sequence, because its start takes about as long as the emulation
 of a minute. There is one process per core at a time.
 
-What to use when: `Simulator` for a rig file; `run_draws` for several draws at the same time.
+What to use when: `Simulator` for a rig file; `run_draws` for the draws of several of them.
 """
 
 import json
@@ -14,7 +14,7 @@ import os
 import subprocess
 import threading
 import zlib
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from importlib.util import find_spec
@@ -55,27 +55,26 @@ class SimulatedRun:
 
     draw: int
     recording: Recording
-    rates: Mapping[str, FloatArray]  # the arrays of `gyrorigd record --rates`
+    rates: Mapping[str, FloatArray]  # arrays of `gyrorigd record --rates-of-session`
 
 
 def run_draws(
-    simulator: Simulator,
+    simulations: Sequence[tuple[Simulator, range]],
     measured: Recording,
-    draws: range,
     folder: Path,
     on_run: Callable[[], None],
-) -> Iterator[SimulatedRun]:
-    """Replay the commands of a recording once per draw, and yield the runs in order.
+) -> list[list[SimulatedRun]]:
+    """Replay the commands of a recording once per draw; return the runs of each simulator in order.
 
     Each draw has separate parameters from the posterior and separate noise. Both follow from the
     checksum of the measured rates, because the p-values of different recordings would otherwise
-    depend on the same simulated noise.
+    depend on the same simulated noise. The processes of all simulators run together, the longest
+    first, so that no core waits for the last process of one simulator.
 
     Args:
-        simulator: the emulated rig.
+        simulations: each emulated rig and the numbers of its draws. 0 has the best parameters.
         measured: the recording with the commands.
-        draws: numbers of the draws. 0 has the best parameters.
-        folder: for the files of the runs.
+        folder: for the files of the runs, in a folder with the name of each simulator.
         on_run: called after each run, by one thread at a time.
 
     Raises:
@@ -88,20 +87,29 @@ def run_draws(
             "run `pip install gyrorig` to install it",
         )
     workers = min(MAX_WORKERS, max(MIN_WORKERS, os.cpu_count() or 1))
+    parts = [
+        (row, simulator, part)
+        for row, (simulator, draws) in enumerate(simulations)
+        for part in split_draws(draws, workers, simulator.is_twin)
+    ]
+    parts.sort(key=lambda part: len(part[2]), reverse=True)
+    lock = threading.Lock()
+    runs: list[list[SimulatedRun]] = [[] for _ in simulations]
     with ThreadPoolExecutor(workers) as pool:
-        lock = threading.Lock()
-        parts = split_draws(draws, workers, simulator.is_twin)
         pending = [
-            pool.submit(_run_part, simulator, measured, part, folder, on_run, lock)
-            for part in parts
+            pool.submit(_run_part, simulator, measured, part, folder / simulator.name, on_run, lock)
+            for _, simulator, part in parts
         ]
         try:
-            for part, future in zip(parts, pending, strict=True):
-                for draw, (path, rates) in zip(part, future.result(), strict=True):
-                    yield SimulatedRun(draw, read_recording(path), rates)
+            for (row, _, part), future in zip(parts, pending, strict=True):
+                runs[row] += [
+                    SimulatedRun(draw, read_recording(path), rates)
+                    for draw, (path, rates) in zip(part, future.result(), strict=True)
+                ]
         finally:
             for future in pending:
                 future.cancel()
+    return [sorted(own, key=lambda run: run.draw) for own in runs]
 
 
 def split_draws(draws: range, count: int, is_twin: bool) -> list[range]:
@@ -140,6 +148,7 @@ def _run_part(
         *(("--draw", str(first_draw)) if simulator.is_twin else ()),
         *("--session-seed", str(draws[0] + FIRST_SEED + offset), "--session", name),
         *("--sessions", str(len(draws)), "--rates", str(out / "rates.npz")),
+        "--rates-of-session",
         *("--out", str(out), *simulator.arguments),
     ]
     environment = {**os.environ, **dict.fromkeys(_THREAD_VARIABLES, "1")}

@@ -21,7 +21,7 @@ from gyrorig_solver.twin_check.simulation import Simulator, run_draws
 TWIN_FILE = "twin.yaml"
 MIN_OTHER_DRAWS = 5
 MIN_DRAWS, DEFAULT_DRAWS = 10, 20  # fewer draws have too little power to list causes
-SHARE_OF_OTHERS = 3  # the other simulations only need a density, so they have fewer draws
+SHARE_OF_OTHERS = 4  # the other simulations only need a density, so they have fewer draws
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -66,8 +66,9 @@ def check_twin_folder(
     checks: list[BoardCheck] = []
     failed: list[tuple[str, GyrorigError]] = []
     other_draws = max(MIN_OTHER_DRAWS, draws // SHARE_OF_OTHERS)
-    counts = [other_draws, other_draws if twin.causes else None, draws]
-    total = len(recordings) * sum(count + 1 for count in counts if count is not None)
+    # Without causes, the simulation of a twin without causes has no runs.
+    counts = [other_draws, other_draws if twin.causes else -1, draws]
+    total = len(recordings) * sum(count + 1 for count in counts)
     finished = 0
 
     def count_run() -> None:
@@ -90,20 +91,12 @@ def check_twin_folder(
             try:
                 check_has_unit(recording)
                 boards = _boards(twin, recording, board)
-                runs = [
-                    list(
-                        run_draws(
-                            simulator,
-                            recording,
-                            range(count + 1),
-                            scratch / f"{number}-{simulator.name}",
-                            count_run,
-                        )
-                    )
-                    if count is not None
-                    else []
-                    for simulator, count in zip(simulators, counts, strict=True)
-                ]
+                runs = run_draws(
+                    [(s, range(n + 1)) for s, n in zip(simulators, counts, strict=True)],
+                    recording,
+                    scratch / str(number),
+                    count_run,
+                )
                 is_held_out = recording.sha256 not in fitted
                 checks += [check_board(recording, name, is_held_out, *runs) for name in boards]
             except GyrorigError as fault:

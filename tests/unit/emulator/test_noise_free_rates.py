@@ -146,7 +146,7 @@ def test_white_noise_alone_has_the_textbook_value() -> None:
     plain = np.tile(document["bias_rad_s"], (10000, 1))
     wave = np.outer(np.sin(2 * np.pi * 2.0 * time_s), [1e-3, 0.0, 0.0])
     still = np.zeros_like(plain)
-    rates = NoiseFreeRates(np.arange(10000), time_s, plain + wave, plain, plain, still)
+    rates = NoiseFreeRates(np.arange(10000), time_s, plain + wave, None, plain, plain, still)
     report = visibility(rates, document, [], (0.0, 100.0))
     density = document["noise_density_rad_s_rthz"][0]
     folded = 1.0 + 2 * 0.25**4 + 2 * 0.125**4  # what the 25 Hz low-pass leaves at 100, 200 Hz
@@ -175,5 +175,11 @@ def test_rates_come_beside_the_recording(
         added = arrays["GY80-1.hidden_rad_s"] - arrays["GY80-1.plain_rad_s"]
         assert added[:, 0] == pytest.approx(1e-4 * arrays["GY80-1.time_s"], abs=1e-12)
         assert len(arrays["pan_s"]) == 1
+        both = dict(arrays)
+    assert run([*arguments, "--simulated-time", "--rates-of-session"]) == 0
+    with np.load(tmp_path / "rates.npz") as arrays:
+        names = {f"GY80-1.{name}" for name in ("number", "time_s", "hidden_rad_s", "between_rad_s")}
+        assert set(arrays.files) == names | {"pan_s", "tilt_s"}
+        assert all(np.array_equal(arrays[name], both[name]) for name in arrays.files)
     assert run(arguments) == 2
     assert "--rates works only with the option --simulated-time" in capsys.readouterr().err

@@ -34,5 +34,5 @@ def test_a_simulation_that_fails_states_the_reason_of_the_daemon(tmp_path: Path)
     measured = read_recording(record_attitudes(tmp_path / "r.mcap", SimulatedGyro()))
     simulator = Simulator("before", RIG, is_twin=False)
     with pytest.raises(SimulationFailedError, match="no unit moves in it") as caught:
-        list(run_draws(simulator, measured, range(1), tmp_path, lambda: None))
+        run_draws([(simulator, range(1))], measured, tmp_path, lambda: None)
     assert caught.value.exit_code == 3

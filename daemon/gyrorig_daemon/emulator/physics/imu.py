@@ -217,7 +217,10 @@ class ImuModel:
         time_s: FloatArray = ready_s + self._period_s * (np.arange(n, dtype=np.float64) + 1.0)
         output: FloatArray = np.empty((n, 3))
         line, state = self._lag_line, self._state
-        for first, now in lag_lines(hooks, ready_s, time_s):
+        lines = (
+            lag_lines(hooks, ready_s, time_s) if hooks.lags else [(0, LagLine(ready_s, 0.0, 0.0))]
+        )
+        for first, now in lines:
             if line is not None and not line.continues(now, ready_s):
                 # The clock jumps, not the sensor: its low-pass has followed the motion until now.
                 state = state + self._settled_state(now, ready_s)
