@@ -22,12 +22,15 @@ from gyrorig_solver.data import FloatArray
 from gyrorig_solver.estimate import BASE_PARAMETERS, ConvergedFit, GyroFit
 from gyrorig_solver.model import FACTOR_NAMES, GAIN_NAMES, GainFactors, factor_jacobian
 from gyrorig_solver.pipeline import CriticisedFit
+from gyrorig_solver.twin.host_latency import median_derivatives
 from gyrorig_solver.twin.twin_causes import CollectedCauses
 
 MAX_NAMES = 400  # of the posterior in a document
 MIN_OFFSET_STD_S = 1e-7
 START_DELAY = "unit.start_delay"  # its name in the posterior
-LATENCIES = ("link.floor", "link.write_floor", "link.write_jitter", "unit.answer_time")
+LATENCIES = (
+    "link.floor", "link.write_floor", "link.jitter", "link.write_jitter", "unit.answer_time"
+)  # fmt: skip
 DIGITS = 9  # of a number in the document
 TIME_OFFSET = BASE_PARAMETERS - 1
 
@@ -80,22 +83,32 @@ def join_covariances(
 def latency_covariance(unit: TwinUnit | None, link: TwinLink) -> NamedCovariance | None:
     """Return the covariance of the latencies of an exchange with the unit, None if unknown.
 
-    Pings show the sum of the latency floors of writing and reading. The replies of the unit show
-    the sum of its answer time and the latencies of the host. The sums are known better than their
-    parts, therefore a draw keeps the sums.
+    Pings show the sum of the latency floors of writing and reading, and the sum of both jitters.
+    The replies of the unit show the sum of its answer time and the usual latency of the host. The
+    sums are known better than their parts, therefore a draw keeps the sums.
     """
     answer_time = None if unit is None else unit.answer_time
-    parts = (link.floor, link.write_floor, link.write_jitter, answer_time)
-    stds = [part.std for part in parts if part is not None and part.std is not None]
-    if len(stds) != len(parts):
+    parts = (link.floor, link.write_floor, link.jitter, link.write_jitter, answer_time)
+    known = [part for part in parts if part is not None and part.std is not None]
+    if len(known) != len(parts):
         return None
-    floor_s, write_floor_s, jitter_s, answer_s = stds
-    matrix = np.diag(np.square(stds))
-    matrix[0, 1] = matrix[1, 0] = -floor_s * write_floor_s
-    # The answer time contains the uncertainty of the floors. That of the jitter is equally large.
-    shared_s2 = (min(floor_s, answer_s) ** 2 + jitter_s**2) / 2.0
-    matrix[2, 3] = matrix[3, 2] = -min(shared_s2, jitter_s * answer_s)
-    return NamedCovariance(LATENCIES, matrix)
+    floor_s, write_floor_s, jitter_s, write_jitter_s, answer_s = (part.std or 0.0 for part in known)
+    by_read, by_write = median_derivatives(known[2].value, known[3].value)
+    # Independent errors: of the split of the floors, of the jitter of reading, of the sum of both
+    # jitters, and of the usual time of a reply.
+    sum_s2 = max(write_jitter_s**2 - jitter_s**2, 0.0)
+    from_host_s2 = (by_read - by_write) ** 2 * jitter_s**2 + by_write**2 * sum_s2
+    variances_s2 = [1.0, jitter_s**2, sum_s2, max(answer_s**2 - from_host_s2, 0.0)]
+    errors = np.array(
+        [
+            [floor_s, 0.0, 0.0, 0.0],
+            [-write_floor_s, 0.0, 0.0, 0.0],
+            [0.0, 1.0, 0.0, 0.0],
+            [0.0, -1.0, 1.0, 0.0],
+            [0.0, by_write - by_read, -by_write, 1.0],
+        ]
+    )
+    return NamedCovariance(LATENCIES, errors @ np.diag(variances_s2) @ errors.T)
 
 
 def board_covariance(

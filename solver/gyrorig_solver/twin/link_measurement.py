@@ -23,6 +23,7 @@ from gyrorig_solver.data import BoolArray, FloatArray
 from gyrorig_solver.data.metadata_numbers import positive_number
 from gyrorig_solver.data.samples import GyroSamples
 from gyrorig_solver.pipeline import BoardData
+from gyrorig_solver.twin.host_latency import HostFloor, HostLatency
 from gyrorig_solver.twin.quantities import scalar
 from gyrorig_solver.twin.rig_mapping import BITS_PER_BYTE, board_line
 
@@ -83,16 +84,6 @@ class Latency:
         margin = (high - low) / (len(lengths) - 1)
         std_s = max(margin, 1e-3)
         return max(low - margin, 0.0), high + margin, std_s, std_s
-
-
-@dataclass(frozen=True, slots=True)
-class HostFloor:
-    """The smallest latency of the host, without transmission on the line."""
-
-    floor_s: float  # of each of writing and reading
-    std_s: float
-    excess_s: float  # mean of an exchange above its smallest time, without stalls
-    median_excess_s: float
 
 
 def measure_latency(boards: Sequence[GyroSamples]) -> Latency | None:
@@ -167,11 +158,12 @@ def measure_floor(pings: RecordArray, tick_hz: float, baud: float) -> HostFloor 
     floors_s = float(latency_s.min()) - request_s - reply_s
     if not floors_s > 0.0:
         return None
+    excess_s = excess_s[excess_s < STALL_FACTOR * usual_s + 1e-6]
     return HostFloor(
         floor_s=floors_s / 2.0,
         std_s=floors_s / math.sqrt(12.0),
-        excess_s=float(np.mean(excess_s[excess_s < STALL_FACTOR * usual_s + 1e-6])),
-        median_excess_s=usual_s,
+        excess_s=float(np.mean(excess_s)),
+        excess_std_s=float(np.std(excess_s)) / math.sqrt(excess_s.size),
     )
 
 
@@ -219,15 +211,6 @@ def _distinct_span_s(spans: dict[int, float]) -> float:
     return total_s
 
 
-@dataclass(frozen=True, slots=True)
-class HostLatency:
-    """The usual latency of the host in an exchange with a device, without the line."""
-
-    exchange_s: float  # of writing and reading
-    write_s: float  # of writing alone
-    std_s: float
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class MeasuredLink:
     """The link of a rig, as far as its recordings determine it."""
@@ -238,13 +221,19 @@ class MeasuredLink:
 
     @property
     def host_latency(self) -> HostLatency:
-        """The usual latency of the host in an exchange with a device."""
+        """The latency of the host in an exchange with a device.
+
+        Pings determine the sum of both floors. Without pings, the jitter of writing is unknown.
+        """
         best = _best_floor(self.floors)
-        if best is None:
-            return HostLatency(USUAL_FLOORS_S, USUAL_FLOORS_S / 2.0, USUAL_FLOORS_S)
-        jitter = self.section.write_jitter
-        write_s = best.floor_s + (0.0 if jitter is None else jitter.value)
-        return HostLatency(2.0 * best.floor_s + best.median_excess_s, write_s, best.std_s)
+        read, write = (
+            (0.0, 0.0) if jitter is None else (jitter.value, jitter.std or 0.0)
+            for jitter in (self.section.jitter, self.section.write_jitter)
+        )
+        floors_s, std_s = (
+            (USUAL_FLOORS_S, USUAL_FLOORS_S) if best is None else (2.0 * best.floor_s, 0.0)
+        )
+        return HostLatency(floors_s, std_s, *read, *write)
 
 
 def measure_link(boards: Mapping[str, BoardData]) -> MeasuredLink:
@@ -306,5 +295,6 @@ def _section(latency: Latency | None, floor: HostFloor | None) -> TwinLink:
         values["write_floor"] = scalar(floor.floor_s, floor.std_s, "s")
         if latency is not None:
             write_jitter_s = max(floor.excess_s - latency.jitter_s, 0.0)
-            values["write_jitter"] = scalar(write_jitter_s, latency.jitter_s / 10.0, "s")
+            write_std_s = math.hypot(floor.excess_std_s, latency.jitter_std_s)
+            values["write_jitter"] = scalar(write_jitter_s, write_std_s, "s")
     return TwinLink(**values)

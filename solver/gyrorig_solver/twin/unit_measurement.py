@@ -19,7 +19,7 @@ from gyrorig_protocol.twin import Scalar, TwinClock, TwinUnit, UnitFacts
 from gyrorig_solver.data import FloatArray, IntArray
 from gyrorig_solver.reference import UNUSABLE_STATUS, PanTiltReference, ReferenceMotion
 from gyrorig_solver.reference.unit.controller_counter import counter_instants
-from gyrorig_solver.twin.link_measurement import HostLatency
+from gyrorig_solver.twin.host_latency import HostLatency
 from gyrorig_solver.twin.quantities import scalar
 from gyrorig_solver.twin.rig_mapping import BITS_PER_BYTE
 
@@ -37,16 +37,15 @@ def measure_unit(recording: Recording, motion: ReferenceMotion, host: HostLatenc
     Args:
         recording: with a unit.
         motion: the reference of its fit.
-        host: the usual latency of the host in an exchange.
+        host: the latency of the host in an exchange.
     """
     facts = recording.metadata.get(UNIT_RECORD, {})
     earliest_s, latest_s, ticks = _answer_windows(recording, facts)
     answer_time = None
     if earliest_s.size >= MIN_POLLS:
-        width_s = latest_s - earliest_s
-        scatter_s = 1.2533 * float(np.std(width_s)) / math.sqrt(width_s.size)  # of a median
-        usual_s = float(np.median(width_s)) - host.exchange_s
-        std_s = math.hypot(min(scatter_s, abs(usual_s)), host.std_s)
+        width_s, scatter_s = _median(latest_s - earliest_s)
+        usual_s = width_s - host.exchange_s
+        std_s = math.hypot(scatter_s, host.exchange_std_s)
         answer_time = scalar(max(usual_s, 0.0), std_s, "s")
     return TwinUnit(
         answer_time=answer_time,
@@ -95,6 +94,17 @@ def _answer_windows(
         np.asarray(earliest_s + window_s, dtype=np.float64),
         np.asarray(raw["controller_time"][order].astype(np.int64)),
     )
+
+
+def _median(values: FloatArray) -> tuple[float, float]:
+    """Return the median and its standard error.
+
+    The standard error is half the distance of the values whose ranks are one standard deviation of
+    the binomial distribution from the middle. It holds for any distribution.
+    """
+    deviation = 0.5 / math.sqrt(values.size)
+    low, middle, high = np.quantile(values, [max(0.5 - deviation, 0.0), 0.5, 0.5 + deviation])
+    return float(middle), 0.5 * float(high - low)
 
 
 def _counter_clock(
