@@ -112,7 +112,7 @@ def propose_program(
     solution = judged_by_typical_noise(explanation.solution_extended)
     if not isinstance(solution.sessions[-1].reference, PanTiltReference):
         return None
-    groups = _ambiguous_groups(explanation, solution)
+    groups = ambiguous_groups(explanation, solution)
     alone = {cause: unseen_cause(solution, cause) for cause in unseen}
     groups += [[pair] for pair in alone.values() if pair is not None]
     hidden = tuple(PairOutlook((cause,), 0.0, 0.0) for cause, pair in alone.items() if not pair)
@@ -128,7 +128,7 @@ def propose_program(
     return replace(proposed, outlooks=(*proposed.outlooks, *hidden))
 
 
-def _ambiguous_groups(explanation: FitExplanation, solution: ConvergedFit) -> list[list[CausePair]]:
+def ambiguous_groups(explanation: FitExplanation, solution: ConvergedFit) -> list[list[CausePair]]:
     """Return the pairs of each ambiguous set; those of one cause of the fit are together."""
     fitted = {term_label(cause.term): cause for cause in solution.fitted_terms}
     groups = []
@@ -221,7 +221,7 @@ class _Design:
         if pair.second is None:
             probabilities = [self._detection_probability(pair, nats) for nats, _ in outcomes]
         else:
-            probabilities = [_sole_name_probability(*outcome) for outcome in outcomes]
+            probabilities = [sole_name_probability(*outcome) for outcome in outcomes]
         nats = max(0.0, min(nats for nats, _ in outcomes))
         return PairOutlook(pair.causes, nats, float(np.mean(probabilities)))
 
@@ -271,7 +271,7 @@ class _Design:
         )
 
 
-def _sole_name_probability(nats: float, gain_nats: float) -> float:
+def sole_name_probability(nats: float, gain_nats: float) -> float:
     """Return the probability that only the true cause is named, from its log Bayes factor.
 
     A log Bayes factor with mean D has the variance 2 D if the cause is true.
