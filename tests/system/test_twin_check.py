@@ -1,6 +1,7 @@
 """`gyrorig twin-check` on a rig with a hidden cause: before, after, and a twin that lacks it."""
 
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -75,6 +76,7 @@ def test_calibration_and_causes_share_the_gain(
     assert abs(1.0 - board["cause_share"]) < 3.0 * board["cause_share_std"]
     page = (session_files[0] / "twin-check.html").read_text()
     assert "is due to the calibration and" in page
+    assert re.search(r"gap\.pan \S+ ± \S+ deg, ", page), "fitted values beside the equation"
 
 
 @pytest.mark.long

@@ -47,10 +47,22 @@ def _compiled_template(template: str) -> jinja2.Template:
         trim_blocks=True,
         lstrip_blocks=True,
         undefined=jinja2.StrictUndefined,
+        finalize=_refuse_function,
     )
     environment.filters["code"] = _mark_commands
     source = files("gyrorig_solver.report").joinpath(template).read_text(encoding="utf-8")
     return environment.from_string(source)
+
+
+def _refuse_function(value: Any) -> Any:
+    """Return a value of a page.
+
+    Raises:
+        TypeError: it is a function, as `view.values` of a dictionary with the key `values` is.
+    """
+    if callable(value):
+        raise TypeError(f"a page must not contain the function {value!r}")
+    return value
 
 
 def _mark_commands(text: str) -> Markup:

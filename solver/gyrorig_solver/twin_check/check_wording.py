@@ -69,7 +69,7 @@ def cause_views(twin: Twin) -> list[dict[str, str]]:
         {
             "title": title,
             "equation": cause_equation(cause.cause),
-            "values": ", ".join(
+            "fitted_values": ", ".join(
                 f"{name} {_scalar_text(cause.cause, name, value)}"
                 for name, value in cause.parameters.items()
             ),
