@@ -4,6 +4,7 @@ What to use when: `findings_summary` for a terminal; the other functions for one
 Files keep SI units; each parameter has one unit in all texts.
 """
 
+import math
 from types import MappingProxyType
 
 from gyrorig_solver.discover.attitude.attitude_terms import ReferenceSmoothing
@@ -21,6 +22,8 @@ from gyrorig_solver.model import (
     plural,
 )
 from gyrorig_solver.model.catalogue import catalogue
+
+WAVE_PARTS = ("cosine", "sine")  # parameters of a wave; a turn of its zero exchanges them
 
 # Verdict of the document: title and sentence.
 VERDICTS = MappingProxyType(
@@ -146,7 +149,27 @@ def main_size_text(cause: CauseEntry) -> str:
     if not sizes:
         return ""
     name, largest = max(sizes, key=lambda named: abs(named[1].value or 0.0) / (named[1].std or 1.0))
+    wave = _amplitude(cause, name.partition(".")[2])
+    if wave is not None and name.partition(".")[0] in WAVE_PARTS:
+        return f"amplitude {size_text(cause.cause, name, wave).removeprefix('+')}"
     return size_text(cause.cause, name, largest).removeprefix("+")
+
+
+def _amplitude(cause: CauseEntry, place: str) -> SizeEntry | None:
+    """Return the amplitude of a wave, with the largest uncertainty that any correlation allows.
+
+    None if the cause has no cosine and sine at this place.
+    """
+    parts = [cause.parameters.get(f"{part}.{place}" if place else part) for part in WAVE_PARTS]
+    known = [(part.value, part.std, part.unit) for part in parts if part is not None]
+    if len(known) < len(WAVE_PARTS):
+        return None
+    values, stds, units = zip(*known, strict=True)
+    amplitude = math.hypot(*(value or 0.0 for value in values))
+    if amplitude == 0.0:
+        return None
+    products = (abs(value or 0.0) * (std or 0.0) for value, std in zip(values, stds, strict=True))
+    return SizeEntry(amplitude, sum(products) / amplitude, units[0])
 
 
 def parameter_bias_sigma(document: FindingsDocument, cause: CauseEntry) -> float | None:

@@ -125,7 +125,7 @@ class UnitRecording:
 
 def _clock_note(clock: PhoneClock) -> str:
     return (
-        f"the phone's clock was estimated from the motion: {1e6 * clock.skew:+.1f} +- "
+        f"the phone's clock was estimated from the motion: {1e6 * clock.skew:+.1f} ± "
         f"{1e6 * clock.skew_std:.1f} ppm, offset to {1e3 * clock.offset_std_s:.2f} ms, correlation "
         f"{clock.correlation:.4f}, {clock.windows} windows; the offset includes the delay of the "
         "phone, therefore the time_offset of a calibration has no meaning"

@@ -1,11 +1,15 @@
 """A parameter has one unit wherever people read it, whatever its size."""
 
+import re
+
+import numpy as np
 import pytest
 
 from gyrorig_solver.calibration.calibration_wording import _cause_unit
 from gyrorig_solver.findings import amount_text
-from gyrorig_solver.findings.findings_document import SizeEntry
-from gyrorig_solver.findings.findings_wording import size_text
+from gyrorig_solver.findings.findings_document import CauseEntry, SizeEntry
+from gyrorig_solver.findings.findings_document import TestStatistics as Statistics
+from gyrorig_solver.findings.findings_wording import main_size_text, size_text
 from gyrorig_solver.model import cause_display_unit
 from gyrorig_solver.model.catalogue import catalogue
 
@@ -41,3 +45,27 @@ def test_findings_and_calibrations_have_the_same_unit(cause: str) -> None:
     size = next(p for p in catalogue()[cause].parameters if p.role == "size")
     unit = cause_display_unit(cause, size.name, size.unit)[1]
     assert amount_text(cause, 1e-3, size.unit).endswith(unit)
+
+
+def test_the_size_of_a_wave_is_its_amplitude() -> None:
+    """Its cosine and sine depend on the zero of the angle; the uncertainty is an upper bound."""
+    rng = np.random.default_rng(1)
+    parameters = {
+        "cosine.pan": SizeEntry(-3e-3, 2e-3, "rad"),
+        "sine.pan": SizeEntry(4e-3, 5e-4, "rad"),
+        "oval": SizeEntry(0.5, 0.01, "1"),
+    }
+    evidence = Statistics(100.0, 4, 1e-9, "pan")
+    cause = CauseEntry("eccentricity", "ptu", "pan", parameters, evidence, None)
+    found = re.fullmatch(r"amplitude (\S+) ± (\S+) deg", main_size_text(cause))
+    assert found is not None
+    amplitude_deg, std_deg = map(float, found.groups())
+    assert amplitude_deg == pytest.approx(np.degrees(5e-3), rel=0.05)
+    for correlation in (-0.99, 0.0, 0.99):
+        shared = correlation * 1e-6
+        covariance = [[4e-6, shared], [shared, 2.5e-7]]
+        draws = rng.multivariate_normal([-3e-3, 4e-3], np.array(covariance) * 1e-2, 20_000)
+        scatter = 10.0 * np.degrees(np.hypot(*draws.T).std())  # small errors: to first order
+        assert scatter < 1.05 * std_deg
+    del parameters["cosine.pan"]
+    assert main_size_text(cause).startswith("0.2")

@@ -180,7 +180,7 @@ def _describe(space: AttitudeFitSpace, k: int) -> str:
     extension, stds = space.fitted_terms[k], value_stds(space, k)
     names, unit = value_names(extension.term), extension.term.parameters[0].unit
     values_text = ", ".join(
-        f"{names[j]} {extension.values[j]:.3g} +- {stds[j]:.2g}" for j in extension.free_indices
+        f"{names[j]} {extension.values[j]:.3g} ± {stds[j]:.2g}" for j in extension.free_indices
     )
     gains, gain_text = cross_validate_causes(space.projector(), [k]), ""
     if gains is not None:

@@ -53,7 +53,7 @@ class Eccentricity(LinearAngleTerm):
     covariates = ("pan_angle",)
     picture = BinnedDependence("gain", "pan")
     excitation = (
-        "pan moves over the full range, because a range of +-80 deg does not separate the two "
+        "pan moves over the full range, because a range of ±80 deg does not separate the two "
         "harmonics"
     )
     effect_if_ignored = "the scale factors are valid at the pan angles of the recording only"
@@ -72,7 +72,7 @@ class Eccentricity(LinearAngleTerm):
 
     def describe(self, values: FloatArray) -> str:
         size = float(np.hypot(values[0], values[1])) / DEG
-        return f"the pan angle is wrong by +-{size:.3g} deg once per turn"
+        return f"the pan angle is wrong by ±{size:.3g} deg once per turn"
 
 
 TERM = Eccentricity()

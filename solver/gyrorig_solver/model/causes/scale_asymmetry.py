@@ -35,7 +35,7 @@ class ScaleAsymmetry(LinearTerm):
 
     def describe(self, values: FloatArray) -> str:
         text = format_list(values * 100.0, XYZ, "%")
-        return f"the scale factors of positive and negative rates differ: +-{text}"
+        return f"the scale factors of positive and negative rates differ: ±{text}"
 
 
 TERM = ScaleAsymmetry()
