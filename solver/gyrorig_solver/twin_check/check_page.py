@@ -26,12 +26,12 @@ from gyrorig_solver.twin_check.check_wording import (
     differences,
     gain_text,
     is_different,
+    lack_texts,
     level,
     manager_text,
     p_text,
     residual_rms,
     residual_share_text,
-    unexplained_text,
     verdict_text,
 )
 from gyrorig_solver.twin_check.feature_comparison import FamilyComparison
@@ -68,7 +68,7 @@ def render_check(check: TwinCheck) -> str:
         "gain": gain_text(check),
         "equations": cause_views(check.twin),
         "sections": [
-            _section(board, unexplained_text(check.twin, board.board))
+            _section(board, lack_texts(check.twin, board.board))
             for board in sorted(check.boards, key=lambda board: not board.is_held_out)
         ],
         "draws": check.draws,
@@ -76,7 +76,7 @@ def render_check(check: TwinCheck) -> str:
     return fill_template("twin_check.html.j2", view)
 
 
-def _section(board: BoardCheck, unexplained: str) -> dict[str, Any]:
+def _section(board: BoardCheck, lacks: Sequence[str]) -> dict[str, Any]:
     before = by_key(board.before.comparisons)
     close_up = _close_up(board)
     rows = [
@@ -94,7 +94,7 @@ def _section(board: BoardCheck, unexplained: str) -> dict[str, Any]:
     return {
         "name": f"{board.board} in {board.recording}",
         "kind": "not used for the fit" if board.is_held_out else "used for the fit",
-        "verdict": " ".join(text for text in (verdict_text(board), unexplained) if text),
+        "verdict": " ".join((verdict_text(board), *lacks)),
         "tiles": [
             ("default simulation", board.before.nats_per_s, residual_rms(board.before)),
             *_calibrated_tile(board),

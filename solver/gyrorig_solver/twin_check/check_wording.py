@@ -6,6 +6,7 @@ errors of a simulation; `gain_text` for the gain on new recordings.
 
 import math
 from collections.abc import Sequence
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -18,6 +19,13 @@ from gyrorig_solver.twin_check.twin_folder_check import TwinCheck
 
 TWIN_ALONE = "twin without its causes"
 MAX_SHOWN_EFFECTS = 3  # of those without a known cause; the JSON output lists all
+# Effects that a random cause can be named for, and whose size then scatters like the measurement.
+SIMILAR_EFFECTS = MappingProxyType(
+    {
+        "bias_random_walk": "any other slow change of the bias",
+        "sample_jitter": "any other noise that is larger during acceleration",
+    }
+)
 EXPLAINABLE_SHARE = 0.2  # rms in units of the noise; below it, a share is not informative
 FALSE_ALARM = 0.01  # probability for one board in one recording, all statistics together
 
@@ -225,6 +233,28 @@ def unexplained_text(twin: Twin, board: str) -> str:
     )
 
 
+def random_cause_text(twin: Twin, board: str) -> str:
+    """Return what the check cannot see because of random causes of the twin; empty without any.
+
+    A random cause makes the draws differ. If it is named in place of another effect, the draws can
+    differ from each other as much as from the measurement.
+    """
+    texts = [
+        f"{cause.cause} ({cause.where}): the check cannot see {SIMILAR_EFFECTS[cause.cause]}"
+        for cause in twin.causes
+        if cause.cause in SIMILAR_EFFECTS and cause.board in (None, board)
+    ]
+    if not texts:
+        return ""
+    return f"The draws of the twin differ by the random cause {'; and '.join(texts)}."
+
+
+def lack_texts(twin: Twin, board: str) -> list[str]:
+    """Return what the twin lacks, or may lack without a difference in the check."""
+    texts = (unexplained_text(twin, board), random_cause_text(twin, board))
+    return [text for text in texts if text]
+
+
 def summarise(check: TwinCheck) -> str:
     """Return the lines for the terminal."""
     lines = [manager_text(check)]
@@ -239,8 +269,7 @@ def summarise(check: TwinCheck) -> str:
         )
         lines.append(f"  {verdict_text(board)}")
         lines += [f"    {difference_text(comparison)}" for comparison in differences(board.after)]
-        unexplained = unexplained_text(check.twin, board.board)
-        lines += [f"  {unexplained}"] if unexplained else []
+        lines += [f"  {text}" for text in lack_texts(check.twin, board.board)]
     return "\n".join(lines)
 
 
@@ -259,6 +288,7 @@ def to_plain(check: TwinCheck) -> dict[str, Any]:
             {
                 **_board_plain(board),
                 "unexplained": list(check.twin.boards[board.board].unexplained),
+                "not_visible": random_cause_text(check.twin, board.board),
             }
             for board in check.boards
         ],

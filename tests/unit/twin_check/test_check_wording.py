@@ -6,8 +6,8 @@ from tests.support.stated_causes import stated_twin
 
 from gyrorig_daemon.emulator.emulated_rig import EmulatedRig
 from gyrorig_daemon.emulator.emulator_settings import RigSettings
-from gyrorig_protocol.twin import Twin, twin_to_plain
-from gyrorig_solver.twin_check.check_wording import unexplained_text
+from gyrorig_protocol.twin import Scalar, Twin, TwinCause, twin_to_plain
+from gyrorig_solver.twin_check.check_wording import lack_texts, unexplained_text
 
 EFFECTS = ["on pan", "on tilt", "on the time", "on the speed", "on the move"]
 
@@ -21,7 +21,22 @@ def twin_without(effects: list[str]) -> tuple[Twin, str]:
 
 
 def test_nothing_is_stated_if_the_fit_explained_everything() -> None:
-    assert unexplained_text(*twin_without([])) == ""
+    assert lack_texts(*twin_without([])) == []
+
+
+def test_a_random_cause_of_the_board_limits_what_the_check_can_see() -> None:
+    """Its draws differ as much from each other as from a measurement with a similar effect."""
+    twin, board = twin_without([])
+    random = TwinCause(
+        "bias_random_walk", "x", {"factor.x": Scalar(30.0, 2.0, "1", "recording")}, board
+    )
+    stated = lack_texts(msgspec.structs.replace(twin, causes=(random,)), board)
+    assert len(stated) == 1
+    assert (
+        "bias_random_walk (x): the check cannot see any other slow change of the bias" in stated[0]
+    )
+    others = msgspec.structs.replace(random, board="OTHER")
+    assert lack_texts(msgspec.structs.replace(twin, causes=(others,)), board) == []
 
 
 @pytest.mark.parametrize(

@@ -75,9 +75,7 @@ class WormError(LinearAngleTerm):
     def describe(self, values: FloatArray) -> str:
         size = np.hypot(values[:2], values[2:4]) / DEG
         text = format_list(size, PAN_TILT, "deg")
-        return (
-            f"the angle has a periodic error with a period of {values[4] / DEG:.2f} deg: ±{text}"
-        )
+        return f"the angle has a periodic error with a period of {values[4] / DEG:.2f} deg: ±{text}"
 
 
 TERM = WormError()
