@@ -84,7 +84,7 @@ def apply_to_table(
     temporary: Path | None = None
     try:
         check_text_table(source)
-        lines = source.open(encoding="utf-8", errors="surrogateescape", newline="")
+        lines = source.open(encoding="utf-8-sig", errors="surrogateescape", newline="")
     except OSError as fault:
         raise InputError(
             f"the table {source} cannot be read ({fault.strerror})",
@@ -139,6 +139,7 @@ class _TableWriter:
         empty = delimiter * (len(added) - 1)
         for block in _blocks(lines):
             values = self._parse_block(block, delimiter, column_indices, rows)
+            self._check_widths(block, delimiter, len(names), rows)
             corrected = self._corrected(values)
             is_invalid = ~np.isfinite(corrected).all(axis=1)
             outside += int(
@@ -186,6 +187,21 @@ class _TableWriter:
                     f"choose one of the columns {column_names}",
                 )
         return [names.index(name) for name in self._columns.names]
+
+    def _check_widths(
+        self, block: Sequence[str], delimiter: str, width: int, rows_before: int
+    ) -> None:
+        """Check that each row has the cells of the header; another number shifts the rates."""
+        for number, line in enumerate(block, start=rows_before + 1):
+            if line.count(delimiter) == width - 1:
+                continue
+            cells = next(csv.reader([line], delimiter=delimiter), [])
+            if len(cells) != width:
+                raise InputError(
+                    f"row {number} of the table {self._name} has {len(cells)} columns, but the "
+                    f"header has {width}",
+                    "correct or remove the row, or export the table without decimal commas",
+                )
 
     def _parse_block(
         self, block: Sequence[str], delimiter: str, column_indices: Sequence[int], rows_before: int

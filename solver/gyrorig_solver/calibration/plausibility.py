@@ -21,7 +21,7 @@ from gyrorig_solver.calibration.calibration_document import Trust
 from gyrorig_solver.calibration.verdict import Verdict
 from gyrorig_solver.discover import CALIBRATION_PARAMETERS
 from gyrorig_solver.estimate import GyroFit
-from gyrorig_solver.model import format_short, group_of
+from gyrorig_solver.model import format_short, group_of, plural
 from gyrorig_solver.uncertainty import OtherEntry, UncertaintyBudget
 
 MAX_SIGMA = 4.0  # prior and data together; above it the value is not plausible
@@ -89,7 +89,7 @@ def add_conflicts(
     if not conflicts:
         return trust
     worst = conflicts[0]
-    others = f" ({len(conflicts) - 1} other parameters too)" if len(conflicts) > 1 else ""
+    others = f" ({plural(len(conflicts) - 1, 'other parameter')} too)" if len(conflicts) > 1 else ""
     part = "a gyroscope" if profile is None else f"the {profile.sensor} (data sheet)"
     reason = (
         f"{worst.parameter} is {_shown(worst.parameter, worst.value)}, which is not plausible for "

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import click
+from click.core import ParameterSource
 
 from gyrorig_protocol.errors import UsageError
 from gyrorig_solver.apply import FRAMES, Calibration, Frame
@@ -77,12 +78,17 @@ def apply_command(
       gyrorig apply calibrations/GY80-1/v0001.yaml drive.mcap -o drive-imu.mcap
       gyrorig apply GY80-1.yaml log.csv --columns gx,gy,gz --unit deg/s -o log-true.csv
     """
+    if _is_given("time_unit") and time is None:
+        raise UsageError(
+            "the option --time-unit needs the option --time",
+            "give the column of the times with --time, or remove --time-unit",
+        )
     correction = Calibration.load(calibration, frame, bias_only=bias_only)
     terminal.print_progress(f"applying {calibration.name} to {source.name}")
     if source.suffix in _RECORDING_SUFFIXES:
-        if columns or temperature or time:
+        if columns or temperature or time or _is_given("unit"):
             raise UsageError(
-                "the options --columns, --temperature and --time are only for tables, but "
+                "the options --columns, --unit, --temperature and --time are only for tables, but "
                 f"{source.name} is a recording",
                 "remove these options",
             )
@@ -113,6 +119,12 @@ def apply_command(
         {**about, **result_json, "not_applied": not_applied, "out": str(out), "exit_code": 0}
     )
     return 0
+
+
+def _is_given(option: str) -> bool:
+    """Return whether a person gave an option that has a default."""
+    context = click.get_current_context()
+    return context.get_parameter_source(option) is ParameterSource.COMMANDLINE
 
 
 def _table_columns(
@@ -199,7 +211,7 @@ def _rate_remark(correction: Calibration, outside: int, total: int, unit: str) -
     """Return a remark on rates above the range in which the calibration was measured."""
     limit_rad_s = max(abs(bound) for bound in correction.document.validity.rate_rad_s)
     return (
-        f"  remark: {outside} of {total} {unit} ({100.0 * outside / total:.2g} %) have rates above "
+        f"  remark: {outside} of {total} {unit} ({100.0 * outside / total:.3g} %) have rates above "
         f"{math.degrees(limit_rad_s):.4g} deg/s, the largest rate in the recordings of this "
         "calibration. These rates are extrapolated. A few such samples are normal."
     )

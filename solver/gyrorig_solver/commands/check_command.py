@@ -137,7 +137,7 @@ def _board_lines(board: BoardHealth) -> list[str]:
     else:
         lines.append(
             f"{blank}determines {observability.rank} of {observability.of} parameters "
-            "(and the time offset)"
+            f"(and {'not ' * ('time_offset' in observability.unobservable)}the time offset)"
         )
     return lines
 

@@ -80,18 +80,24 @@ def _compare(
     return compare_with_truth(document, content), "truth"
 
 
+def _difference_text(sigmas: float | None) -> str:
+    if sigmas is None:
+        return "u not known"
+    mark = "" if abs(sigmas) <= WRONG_BEYOND_SIGMA else " !"
+    return f"{sigmas:+.2f} u{mark}"
+
+
 def comparison_table(rows: Sequence[ParameterComparison], column: str = "truth") -> str:
     """Return estimate, compared value, standard uncertainty and difference of each parameter."""
     has_totals = any(row.total_sigmas is not None for row in rows)
     heading = ("", "found", column, "u (k = 1)", "unit", "of total u", "difference")
     cells: list[tuple[str, ...]] = [heading]
     for row in rows:
-        if row.estimate is None or row.sigmas is None:
+        if row.estimate is None:
             cells.append((row.name, "not determined", "", "", "", "", ""))
             continue
         value_text, std_text = format_quantity(row.estimate, row.std)
         decimals = len(value_text.partition(".")[2])
-        mark = "" if abs(row.sigmas) <= WRONG_BEYOND_SIGMA else " !"
         cells.append(
             (
                 row.name,
@@ -100,7 +106,7 @@ def comparison_table(rows: Sequence[ParameterComparison], column: str = "truth")
                 std_text,
                 "" if row.unit == "1" else row.unit,
                 "" if row.total_sigmas is None else f"{row.total_sigmas:+.2f}",
-                f"{row.sigmas:+.2f} u{mark}",
+                _difference_text(row.sigmas),
             )
         )
     if not has_totals:

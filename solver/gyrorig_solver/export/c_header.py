@@ -129,12 +129,13 @@ def _identifier(board: str) -> str:
 def _header_comment(
     source: ExportSource, stem: str, fixed: FixedPoint, limit: int
 ) -> Iterator[str]:
+    inverse = "(S T M)^-1" if source.frame == "stage" else "(S T)^-1"
     lines = [
         *source.header_lines(),
         "",
         "Input: counts as the sensor sends them, in its own axes x, y, z.",
         f"Output: the true rate in rad/s, in {source.axes_text}.",
-        "    rate = A counts + c; A = scale (S T M)^-1, c = -(S T M)^-1 b; rows first.",
+        f"    rate = A counts + c; A = scale {inverse}, c = -{inverse} b; rows first.",
         "Positive rates are counter-clockwise about their axis, seen from its tip.",
         f"{stem}_rate_float gives floats. {stem}_rate_fixed gives 32-bit integers in steps",
         f"    of 2^-{fixed.fraction_bits} rad/s; their rounding error is at most "

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from gyrorig_protocol.errors import UsageError
+from gyrorig_solver.apply.correction import Correction
 from gyrorig_solver.calibration import calibration_as_mapping
 from gyrorig_solver.export.c_header import c_header
 from gyrorig_solver.export.export_source import ExportSource
@@ -80,6 +81,24 @@ def export_text(source: ExportSource, kind: str, options: ExportOptions | None =
             return json_text(source)
 
 
+def _terms_left_out(correction: Correction) -> list[str]:
+    """Return what the formula `rate = inverse_gain (reading - bias)` leaves out."""
+    terms = {
+        "the change of the bias with the temperature": correction.bias_curve is not None,
+        "the change of the scale factor with the temperature": correction.scale_curve is not None,
+        "scale_quadratic": correction.quadratic.any(),
+        "scale_cubic": correction.cubic.any(),
+        "scale_asymmetry": correction.asymmetry.any(),
+        "g_sensitivity": correction.needs_force,
+    }
+    left_out = [
+        f"{term} is not applied, because the formula has a constant bias and gain"
+        for term, is_present in terms.items()
+        if is_present
+    ]
+    return [*correction.not_applied, *left_out]
+
+
 def json_text(source: ExportSource) -> str:
     """Return the numbers to apply, with their conventions, and the complete document."""
     plain: dict[str, Any] = {
@@ -98,7 +117,7 @@ def json_text(source: ExportSource) -> str:
         "bias_rad_s": source.bias_rad_s.tolist(),
         "inverse_gain": None if source.calibration is None else source.correction.inverse.tolist(),
         "time_offset_s": source.time_offset_s,
-        "not_applied": [] if source.calibration is None else list(source.correction.not_applied),
+        "not_applied": [] if source.calibration is None else _terms_left_out(source.correction),
         "calibration": calibration_as_mapping(source.document),
     }
     return json.dumps(plain, indent=1, allow_nan=False) + "\n"

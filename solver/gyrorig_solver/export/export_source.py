@@ -169,6 +169,11 @@ class ExportSource:
             )
         omitted = [cause for cause in causes if cause not in base]
         record = self.document.temperature
+        if record is not None and record.bias is not None and "thermal_bias" not in carried:
+            omitted.append(
+                "the bias against the temperature (the bias here is that at "
+                f"{record.reference_degc:.2f} degC)"
+            )
         if record is not None and record.scale is not None and "temperature.scale" not in carried:
             omitted.append("the scale factor against the temperature")
         return [f"not contained in this format: {', '.join(omitted)}"] if omitted else []

@@ -7,6 +7,7 @@ for the one that a person named. A new format is a new file in `importers.format
 import importlib
 import pkgutil
 import zipfile
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
 from itertools import islice
@@ -14,7 +15,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Protocol
 
-from gyrorig_protocol.errors import InputError
+from gyrorig_protocol.errors import InputError, UsageError
 from gyrorig_protocol.file_kinds import (
     DAMAGED_ZIP,
     HEAD_BYTES,
@@ -40,6 +41,19 @@ class ImportOptions:
     sensor: str | None = None  # sensor type
     topics: tuple[str, ...] = ()  # the streams to read, where a source has several
     stamp: str | None = None  # "sampled" or "arrival", instead of what the format finds
+
+    def check_topics(self, known: Sequence[str]) -> None:
+        """Check that the format has all chosen streams.
+
+        Raises:
+            UsageError: it does not have one of them.
+        """
+        unknown = [topic for topic in self.topics if topic not in known]
+        if unknown:
+            raise UsageError(
+                f"the option --topic names {unknown[0]!r:.60}, which this format does not have",
+                f"choose {' or '.join(known)}",
+            )
 
 
 @dataclass(frozen=True, slots=True)

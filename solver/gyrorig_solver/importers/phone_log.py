@@ -28,6 +28,7 @@ from gyrorig_protocol.errors import InputError
 from gyrorig_solver.data import FloatArray, IntArray
 from gyrorig_solver.data.text_table import check_text_table
 from gyrorig_solver.importers.import_times import order_by_time
+from gyrorig_solver.importers.measured_streams import STANDARD_GRAVITY_M_S2
 from gyrorig_solver.importers.measurement_columns import open_columns
 from gyrorig_solver.importers.text_columns import MAX_ROWS
 
@@ -232,7 +233,11 @@ def _read_table(
     rates = columns.matrix(gyro, 3)
     if re.search(r"deg|°|\bdps", "".join(gyro)):
         rates = np.radians(rates)
-    accel_pair = None if accel is None else (stamp_ns, columns.matrix(accel, 3))
+    accel_pair = None
+    if accel is not None:
+        in_g = re.search(r"[\[(]\s*g\s*[\])]", "".join(accel), re.IGNORECASE)
+        unit = STANDARD_GRAVITY_M_S2 if in_g else 1.0
+        accel_pair = (stamp_ns, unit * columns.matrix(accel, 3))
     return "a table", (stamp_ns, rates), accel_pair
 
 

@@ -154,7 +154,7 @@ def _list(value: list[float | None] | float | None) -> list[float | None]:
 def _table_rows(path: Path, unit: float) -> list[dict[str, float]]:
     try:
         check_text_table(path)
-        lines = path.read_text(encoding="utf-8", errors="replace").splitlines()
+        lines = path.read_text(encoding="utf-8-sig", errors="replace").splitlines()
     except OSError as fault:
         raise InputError(
             f"the table {path} cannot be read ({fault.strerror})", TABLE_REMEDY
@@ -264,6 +264,7 @@ def with_temperature_curves(
         document,
         temperature=record,
         validity=validity,
+        uncertainty=None,  # that of the template is about its values at its own temperature
     )
 
 

@@ -198,13 +198,22 @@ def findings_text(calibration: CalibrationDocument) -> str:
     if findings.verdict == "adequate":
         words = "No error of the rig model was found"
     elif findings.causes:
-        named = ", ".join(cause.replace("_", " ") for cause in findings.causes)
+        fitted = [cause for cause in findings.causes if cause in calibration.solver.terms]
+        others = [cause for cause in findings.causes if cause not in fitted]
+        named = ". ".join(
+            f"{start}: {', '.join(cause.replace('_', ' ') for cause in causes)}"
+            for start, causes in (
+                ("The fit includes the identified causes", fitted),
+                ("Identified causes that are not terms of the fit", others),
+            )
+            if causes
+        )
         remainder = (
             ""
             if findings.verdict == "explained"
             else ". No cause explains the rest of the residual"
         )
-        words = f"The fit includes the identified causes: {named}{remainder}"
+        words = f"{named}{remainder}"
     else:
         words = "No known cause explains a part of the residual"
     return f"{words}. The figures are in {page_name}, in the same folder as this file."

@@ -79,6 +79,9 @@ def test_a_row_without_a_reading_has_no_rate(golden: Path, tmp_path: Path) -> No
         ("gx,gy,gz\n", "a header, but no rows"),
         ("gx,gy,gz\n1,2\n", "row 1 of the table in.csv has only 2 columns"),
         ("gx,gy,gz\n1,2,3\n1,x,3\n", "has 'x' in the column gy, which is not a number"),
+        ("gx,gy,gz,note\n1,2,3,a\n1,2,3\n", "row 2 of the table in.csv has 3 columns, but the"),
+        ("gx,gy,gz\n1,2,3\n1,2,3,4\n", "row 2 of the table in.csv has 4 columns, but the"),
+        ("gx;gy;gz\n1;2;3\n1;2;3;\n", "row 2 of the table in.csv has 4 columns, but the"),
         ("gx,gy,gz,rate_x_rad_s\n1,2,3,4\n", "calibrated data (column rate_x_rad_s)"),
         ("", "no column 'gx'"),
     ],
@@ -94,6 +97,28 @@ def test_an_unusable_table_is_rejected_and_no_file_remains(
     assert code == 3
     assert message in capsys.readouterr().err
     assert sorted(p.name for p in tmp_path.iterdir()) == ["in.csv", "v0001.yaml"]
+
+
+def test_the_mark_of_a_spreadsheet_is_no_part_of_a_name(golden: Path, tmp_path: Path) -> None:
+    """Excel writes a byte order mark; a quoted cell may contain the delimiter."""
+    (tmp_path / "in.csv").write_bytes(b'\xef\xbb\xbfgx,gy,gz,note\r\n1,2,3,"a, b"\r\n')
+    summary = apply_to_table(
+        Calibration.load(golden), tmp_path / "in.csv", tmp_path / "out.csv", TableColumns(GYRO)
+    )
+    assert summary.rows == 1
+    assert (tmp_path / "out.csv").read_text().startswith("gx,gy,gz,note,rate_x_rad_s")
+
+
+def test_options_of_tables_without_an_effect_are_refused(
+    golden: Path, tmp_path: Path, capsys: Captured
+) -> None:
+    table(tmp_path / "in.csv")
+    out = ["-o", str(tmp_path / "out.csv")]
+    base = ["apply", str(golden), str(tmp_path / "in.csv"), "--columns", "gx,gy,gz", *out]
+    assert cli.run([*base, "--time-unit", "ms"]) == 2
+    assert "--time-unit needs the option --time" in capsys.readouterr().err
+    assert cli.run(["apply", str(golden), "drive.mcap", "--unit", "rad/s", *out]) == 2
+    assert "are only for tables" in capsys.readouterr().err
 
 
 def test_the_command_prints_text_and_json(golden: Path, tmp_path: Path, capsys: Captured) -> None:

@@ -8,6 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 import pytest
 import yaml
@@ -16,6 +17,7 @@ from pymavlink.mavparm import MAVParmDict  # type: ignore[import-untyped]
 from gyrorig_protocol.errors import InputError, UsageError
 from gyrorig_solver import cli
 from gyrorig_solver.calibration import CalibrationDocument
+from gyrorig_solver.calibration.temperature_record import CurveRecord, TemperatureRecord
 from gyrorig_solver.export import FORMATS, ExportOptions, ExportSource, export_text
 from gyrorig_solver.export.c_header import FixedPoint, c_header, largest_count
 from gyrorig_solver.export.flight_controllers import shift_polynomial
@@ -333,6 +335,50 @@ def test_causes_that_a_format_lacks_are_listed_or_rejected(
     force = {"g_sensitivity": {"value": [1e-4] * 9, "std": [0.0] * 9, "unit": "rad/s/(m/s^2)"}}
     with pytest.raises(InputError, match="the export format can only contain a constant bias"):
         export_text(ExportSource.of(document(parameters=force)), kind)
+
+
+def warmed(document: DocumentFactory) -> CalibrationDocument:
+    """Return the golden calibration with a bias and a scale that depend on the temperature."""
+    covariance = [[[1e-12, 0.0], [0.0, 1e-12]]] * 3
+    record = TemperatureRecord(
+        source="chamber",
+        reference_degc=25.0,
+        range_degc=[-10.0, 60.0],
+        bias=CurveRecord("polynomial", "rad/s", [[1e-3, 2e-3, -1e-3]], covariance),
+        scale=CurveRecord("polynomial", "1", [[1e-4] * 3], covariance),
+    )
+    return msgspec.structs.replace(document(), temperature=record)
+
+
+@pytest.mark.parametrize("kind", ["ros", "kalibr"])
+def test_a_format_with_a_constant_bias_states_that_the_temperature_is_left_out(
+    document: DocumentFactory, kind: str
+) -> None:
+    text = export_text(ExportSource.of(warmed(document)), kind)
+    assert "the bias against the temperature (the bias here is that at 25.00 degC)" in text
+    assert "the scale factor against the temperature" in text
+
+
+def test_json_lists_what_its_formula_leaves_out(document: DocumentFactory) -> None:
+    """`rate = inverse_gain (reading - bias)` has a constant bias and gain."""
+
+    def left_out(result: CalibrationDocument) -> str:
+        return "; ".join(json.loads(export_text(ExportSource.of(result), "json"))["not_applied"])
+
+    assert left_out(document()) == ""
+    for words in ("the change of the bias with the temp", "the change of the scale factor with"):
+        assert words in left_out(warmed(document))
+    assert "change of the bias with the temperature" in left_out(document(parameters=WARM))
+    bent = {"scale_cubic": {"value": [1e-4] * 3, "std": [0.0] * 3, "unit": "s^2/rad^2"}}
+    force = {"g_sensitivity": {"value": [1e-4] * 9, "std": [0.0] * 9, "unit": "rad/s/(m/s^2)"}}
+    assert "scale_cubic is not applied" in left_out(document(parameters=bent))
+    assert "g_sensitivity is not applied" in left_out(document(parameters=force))
+
+
+def test_the_comment_of_the_c_code_has_the_formula_of_its_frame(document: DocumentFactory) -> None:
+    stage, sensor = (export_text(ExportSource.of(document(), f), "c") for f in ("stage", "sensor"))
+    assert "A = scale (S T M)^-1, c = -(S T M)^-1 b" in stage
+    assert "A = scale (S T)^-1, c = -(S T)^-1 b" in sensor
 
 
 def test_every_export_names_its_frame(document: DocumentFactory) -> None:

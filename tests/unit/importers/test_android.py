@@ -248,6 +248,31 @@ def test_the_time_of_a_phone_alone_starts_at_zero(
     assert load_samples(alone, "PHONE").number.size == imported.samples
 
 
+def test_an_accelerometer_may_start_before_the_gyroscope(tmp_path: Path) -> None:
+    source = tmp_path / "log.txt"
+    rows = "".join(
+        f"ACCE;1;{k / 100 - 0.004:.6f};0.1;0.2;9.8;3\nGYRO;1;{k / 100:.6f};1;2;3;3\n"
+        for k in range(1000, 1050)
+    )
+    source.write_text(rows)
+    imported = import_phone(source, tmp_path / "log.mcap", "PHONE", "android")
+    recording = read_recording(imported.path)
+    assert recording.start_ns == 4_000_000  # of the first rate, after the first acceleration
+    gyro_s = load_samples(recording, "PHONE").time_s
+    assert np.diff(gyro_s) == pytest.approx(0.01, abs=1e-6)
+
+
+@pytest.mark.parametrize(("unit", "expected"), [("g", 9.80665), ("G", 9.80665), ("m/s^2", 1.0)])
+def test_accelerations_in_g_are_converted(tmp_path: Path, unit: str, expected: float) -> None:
+    source = tmp_path / "log.csv"
+    axes = [f"gyro_{axis} (rad/s)" for axis in "xyz"] + [f"acc_{axis} ({unit})" for axis in "xyz"]
+    rows = "".join(f"{k / 100},1,2,3,0,0,1\n" for k in range(50))
+    source.write_text(f"time (s),{','.join(axes)}\n{rows}")
+    accel = read_phone_log(source).accel_m_s2
+    assert accel is not None
+    assert accel[0].tolist() == pytest.approx([0.0, 0.0, expected])
+
+
 def test_of_two_gyroscopes_in_one_table_the_uncalibrated_one_is_read(tmp_path: Path) -> None:
     source = tmp_path / "log.csv"
     rows = "".join(f"{k / 100},9,9,9,1,2,3\n" for k in range(50))

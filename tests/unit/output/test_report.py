@@ -186,10 +186,14 @@ def test_full_report_has_every_section(good_fit: GyroFit, provenance: Provenance
         clock=replace(good_fit.clock, course=course),
         diagnostics=replace(good_fit.diagnostics, angle_rad=angle),
     )
+    calibration = made(fit, provenance)
     document = msgspec.structs.replace(
-        made(fit, provenance),
+        calibration,
+        solver=msgspec.structs.replace(
+            calibration.solver, terms=[*calibration.solver.terms, "backlash"]
+        ),
         findings=FindingsReference(
-            verdict="explained", causes=["backlash"], file="v0001.findings.yaml"
+            verdict="explained", causes=["backlash", "lost_samples"], file="v0001.findings.yaml"
         ),
     )
     profile = parse_profile((BOARDS / "L3G4200D.yaml").read_text(), "L3G4200D.yaml")
@@ -200,7 +204,11 @@ def test_full_report_has_every_section(good_fit: GyroFit, provenance: Provenance
     for part in (
         *("integration time, s", "Allan deviation", "pan, deg", "tilt, deg", "latency, ms"),
         *("the data sheet allows -25.0 to 25.0 deg/s", "angle random walk", "deg/√h", "one-sided"),
-        *("includes the identified causes: backlash", "v0001.findings.html", "not estimated"),
+        *(
+            "includes the identified causes: backlash. Identified",
+            "not terms of the fit: lost samples",
+        ),
+        *("v0001.findings.html", "not estimated"),
     ):
         assert part in words, part
     assert page.tags.count("figure") == 8

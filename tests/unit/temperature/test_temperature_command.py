@@ -13,6 +13,11 @@ import yaml
 
 from gyrorig_solver import Calibration, cli
 from gyrorig_solver.calibration import CalibrationDocument, parse_calibration
+from gyrorig_solver.calibration.calibration_document import (
+    ParameterUncertainty,
+    UncertaintyRecord,
+    calibration_as_yaml,
+)
 from gyrorig_solver.export import ExportSource, export_text
 from gyrorig_solver.pipeline.temperature_values import (
     TemperatureValues,
@@ -86,9 +91,19 @@ def test_calibrations_at_several_temperatures(tmp_path: Path, capsys: Captured) 
         plain["parameters"]["scale"]["value"] = true_scale(degc).ravel().tolist()
         plain["quality"]["mean_temperature_degc"] = degc
         path = tmp_path / f"v{k}.yaml"
-        path.write_text(yaml.safe_dump(plain))
+        bias_rad_s = plain["parameters"]["bias"]["value"][0]
+        total = ParameterUncertainty(
+            1e-5, 5e-5, 5.1e-5, [bias_rad_s - 1e-4, bias_rad_s + 1e-4], 1e-3, "rad/s"
+        )
+        document = msgspec.structs.replace(
+            parse_calibration(yaml.safe_dump(plain), "input"),
+            uncertainty=UncertaintyRecord(2.0, {"bias.x": total}, [], "0" * 64, 0.954),
+        )
+        path.write_text(calibration_as_yaml(document))
         paths.append(str(path))
     document, _ = solved(paths, tmp_path / "cal", capsys)
+    # The total uncertainties of the inputs are about their values at their own temperatures.
+    assert document.uncertainty is None
     record = document.temperature
     assert record is not None
     assert record.scale is not None

@@ -46,7 +46,8 @@ class AndroidLog:
     def read(self, source: Path, options: ImportOptions) -> MeasuredStreams:
         """Return the rates, and the accelerations if the log has them."""
         log = read_phone_log(source)
-        first_ns = int(log.stamp_ns[0])
+        stamps = (log.stamp_ns, log.accel_stamp_ns)
+        first_ns = min(int(stamp_ns[0]) for stamp_ns in stamps if stamp_ns is not None)
         accel = None
         if log.accel_m_s2 is not None and log.accel_stamp_ns is not None:
             accel = AccelStream(log.accel_m_s2, seconds_since(log.accel_stamp_ns, first_ns))

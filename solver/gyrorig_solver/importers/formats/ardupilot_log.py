@@ -7,7 +7,7 @@ the temperature T. Before version 4.0 the instance is part of the name: GYR1, IM
 attitudes ATT, AHR2 and XKQ come from the flight controller's filter, which uses the same gyros.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -65,12 +65,13 @@ class ArdupilotLog:
 
     def read(self, source: Path, options: ImportOptions) -> MeasuredStreams:
         """Return one board per gyroscope; `--topic XKQ` uses the flight controller's attitude."""
+        topics = frozenset(topic.upper() for topic in options.topics)
+        replace(options, topics=tuple(topics)).check_topics((*_KINDS, *_QUATERNIONS))
         log = read_dataflash(source, _WANTED)
         instances = _instances(log.columns)
         notes: list[str] = []
         if log.skipped_bytes:
             notes.append(f"{log.skipped_bytes} bytes of the log are damaged and were left out")
-        topics = frozenset(topic.upper() for topic in options.topics)
         boards = []
         for number, instance in sorted(instances.items()):
             chosen = choose_source(

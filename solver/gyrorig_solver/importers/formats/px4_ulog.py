@@ -62,6 +62,7 @@ class Px4Ulog:
 
     def read(self, source: Path, options: ImportOptions) -> MeasuredStreams:
         """Return one board per gyroscope; `--topic vehicle_attitude` uses PX4's attitude."""
+        options.check_topics((*_GYROS, _OWN_ATTITUDE, *_OUTSIDE_ATTITUDES))
         notes: list[str] = []
         topics = _read_topics(source, notes)
         wanted = frozenset(options.topics)

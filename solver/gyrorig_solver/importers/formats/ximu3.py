@@ -52,6 +52,7 @@ class Ximu3:
 
     def read(self, source: Path, options: ImportOptions) -> MeasuredStreams:
         """Return one board per device; `--topic Quaternion` uses the sensor's own attitude."""
+        options.check_topics(("Quaternion",))
         folders = _device_folders(source)
         if not folders:
             raise InputError(

@@ -64,6 +64,7 @@ class XsensText:
 
     def read(self, source: Path, options: ImportOptions) -> MeasuredStreams:
         """Return rates, or rates from delta_q; `--topic Quat` uses the sensor's own attitude."""
+        options.check_topics(("Quat",))
         head = read_head(source, _HEAD_BYTES).decode("utf-8", errors="replace")
         lines = [line for line in head.splitlines() if not line.startswith("//")]
         layout = _layout(lines[0] if lines else "")
