@@ -66,7 +66,7 @@ class CommandLimits(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     pan_max_deg: float | None = None
     tilt_min_deg: float | None = None
     tilt_max_deg: float | None = None
-    speed_deg_s: Positive | None = None
+    speed_deg_s: Annotated[float, msgspec.Meta(gt=0.0, le=1e6)] | None = None
 
 
 class Polling(msgspec.Struct, frozen=True, forbid_unknown_fields=True):

@@ -43,6 +43,7 @@ class BoardTraffic:
     raw: bytearray = field(default_factory=bytearray)  # the beginning
     total_bytes: int = 0
     samples: int = 0
+    first_samples: int = 0  # of the first frame; they were taken before the measurement
     missing: int = 0
     first_sample_s: float = 0.0  # of the first and last sample; monotonic
     last_sample_s: float = 0.0
@@ -57,12 +58,9 @@ class BoardTraffic:
 
     @property
     def rate_hz(self) -> float:
-        """Samples per second; 0 if there are too few samples."""
-        return (
-            (self.samples - 1) / (self.last_sample_s - self.first_sample_s)
-            if self.samples > 10
-            else 0.0
-        )
+        """Samples per second; 0 if all samples came together."""
+        elapsed_s = self.last_sample_s - self.first_sample_s
+        return (self.samples - self.first_samples) / elapsed_s if elapsed_s > 0.0 else 0.0
 
 
 def check_board(config: BoardPort) -> tuple[list[Finding], float]:
@@ -144,7 +142,7 @@ def _count_samples(frame: Sample | Batch, now_s: float, traffic: BoardTraffic) -
         if 1 < step < SEQUENCE_MODULUS // 2:
             traffic.missing += step - 1
     else:
-        traffic.first_sample_s = now_s
+        traffic.first_sample_s, traffic.first_samples = now_s, count
     traffic.last_sequence = (frame.sequence + count - 1) % SEQUENCE_MODULUS
     traffic.last_sample_s = now_s
     traffic.samples += count

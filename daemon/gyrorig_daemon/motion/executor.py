@@ -21,6 +21,7 @@ TIMEOUT_FACTOR = 1.5
 TIMEOUT_MARGIN_S = 5.0
 STALL_S = 3.0  # a count that does not change for this time, away from its target
 STANDSTILL_S = 0.3
+MIN_STILL_ANSWERS = 3  # they contain both axes of a unit that answers one axis per poll
 HALT_TIMEOUT_S = 10.0  # from 149 deg/s at 103 deg/s^2 a unit stops in 1.5 s
 MARGIN_STEPS = 16  # 0.8 deg at 185 arcsec per step; counts do not overshoot
 MAX_IMPLAUSIBLE = 3
@@ -79,7 +80,7 @@ class Executor:
         self._path_monitor.expect(self._positions_steps, {})
 
     def _wait_for_arrival(self, step: PlannedMove, targets: Mapping[Axis, int]) -> None:
-        longest_s = max(part.duration_s for part in step.axes)
+        longest_s = max((part.duration_s for part in step.axes), default=0.0)
         start_ns = self._pump.now_ns()
         deadline_ns = start_ns + int((TIMEOUT_FACTOR * longest_s + TIMEOUT_MARGIN_S) * 1e9)
         last_steps: tuple[int, int] | None = None
@@ -115,22 +116,22 @@ class PathMonitor:
     """Checks reported positions against the commands of one step of a program.
 
     Replies have no checksum, and a line can lose a digit: a single implausible reply is only
-    counted. Several in a row are not an accident: somebody else moves the unit, its count has
-    jumped, or another device answers.
+    counted. Several of one axis in a row are not an accident: somebody else moves the unit, its
+    count has jumped, or another device answers.
     """
 
     def __init__(self, driver: PanTiltDriver) -> None:
         """Check nothing yet; implausible replies are counted in `driver`."""
         self._driver = driver
         self._allowed_steps: dict[Axis, Span] = {}
-        self._implausible_count = 0
+        self._implausible_counts = dict.fromkeys(Axis, 0)  # in a row, of each axis
 
     def expect(self, start: Mapping[Axis, int], targets: Mapping[Axis, int]) -> None:
         """Expect each axis of `start` between there and its target, or at rest.
 
         An axis that has not reached a target yet can be anywhere: one reply alone is not certain.
         """
-        self._implausible_count = 0
+        self._implausible_counts = dict.fromkeys(Axis, 0)
         self._allowed_steps = {
             axis: (
                 min(start_steps, targets.get(axis, start_steps)),
@@ -143,20 +144,16 @@ class PathMonitor:
         """Return whether the commands can explain the position.
 
         Raises:
-            DeviceError: several consecutive positions are implausible.
+            DeviceError: several consecutive positions of one axis are implausible.
         """
-        answered_steps = {}
-        if position.has_pan:
-            answered_steps[Axis.PAN] = position.pan_steps
-        if position.has_tilt:
-            answered_steps[Axis.TILT] = position.tilt_steps
-        for axis, steps in answered_steps.items():
+        for axis, steps in _answered_steps(position).items():
             low, high = self._allowed_steps.get(axis, (steps, steps))
             if low - MARGIN_STEPS <= steps <= high + MARGIN_STEPS:
+                self._implausible_counts[axis] = 0
                 continue
-            self._implausible_count += 1
+            self._implausible_counts[axis] += 1
             self._driver.counts.implausible += 1
-            if self._implausible_count >= MAX_IMPLAUSIBLE:
+            if self._implausible_counts[axis] >= MAX_IMPLAUSIBLE:
                 raise DeviceError(
                     f"the pan-tilt unit reports the {axis.label} position {steps} steps, but "
                     f"its commands allow only {low} to {high} steps",
@@ -164,36 +161,47 @@ class PathMonitor:
                     "serial line is faulty",
                 )
             return False
-        self._implausible_count = 0
         return True
+
+
+def _answered_steps(position: Position) -> dict[Axis, int]:
+    """Return the positions of the axes that answered this poll."""
+    answered = {}
+    if position.has_pan:
+        answered[Axis.PAN] = position.pan_steps
+    if position.has_tilt:
+        answered[Axis.TILT] = position.tilt_steps
+    return answered
 
 
 def halt_and_confirm(pump: Pump, unit: Unit, poller: PositionPoller) -> None:
     """Halt both axes and poll until the positions no longer change.
+
+    Some units answer one axis per poll, in turn. Each axis must therefore give the same position
+    twice, and three answers contain both axes.
 
     Raises:
         DeviceError: the unit does not acknowledge, or keeps moving.
     """
     unit.driver.halt()
     end_ns = pump.now_ns() + int(HALT_TIMEOUT_S * 1e9)
-    still_since_ns: int | None = None
-    last_steps: tuple[int, int] | None = None
-    position: Position | None
+    since: dict[Axis, tuple[int, int]] = {}  # last position of each axis, and its first request
+    still: set[Axis] = set()
+    answers = 0
     while pump.now_ns() < end_ns:
         position = poller.poll(checked=False)
         if position is None:
             continue
-        steps = (position.pan_steps, position.tilt_steps)
-        if steps != last_steps or still_since_ns is None:
-            last_steps, still_since_ns = steps, position.exchange.request_ns
-        elif (
-            position.exchange.reply_ns - still_since_ns >= STANDSTILL_S * 1e9
-            and position.is_still
-            in (
-                None,
-                True,
-            )
-        ):
+        answers += 1
+        for axis, steps in _answered_steps(position).items():
+            last_steps, request_ns = since.get(axis, (None, 0))
+            if steps != last_steps:
+                since[axis] = (steps, position.exchange.request_ns)
+                still.discard(axis)
+            elif position.exchange.reply_ns - request_ns >= STANDSTILL_S * 1e9:
+                still.add(axis)
+        is_still = still == since.keys() and position.is_still in (None, True)
+        if answers >= MIN_STILL_ANSWERS and is_still:
             return
     unit.driver.halt()
     raise DeviceError(

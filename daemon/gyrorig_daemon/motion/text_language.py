@@ -164,10 +164,15 @@ def read_number(text: str) -> float | None:
 
 def _check_pattern(name: str, text: str) -> None:
     try:
-        re.compile(text)
+        pattern = re.compile(text)
     except re.error as error:
         raise UsageError(
             f"the pattern {name!r} under ptu.commands in the rig file is not a regular expression "
             f"({error})",
             "correct the pattern",
         ) from error
+    if name == "number" and "value" not in pattern.groupindex:
+        raise UsageError(
+            "the pattern 'number' under ptu.commands in the rig file has no group `value`",
+            "write the number in the pattern as (?P<value>...)",
+        )

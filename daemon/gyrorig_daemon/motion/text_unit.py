@@ -4,6 +4,7 @@ What to use when: `text_driver` makes the entry of a driver from a `TextLanguage
 separate driver only if one reply does not answer one command.
 """
 
+import math
 from collections.abc import Callable, Sequence
 
 from gyrorig_daemon.config import PtuPort
@@ -279,10 +280,9 @@ class TextUnit:
 
 def _is_number(words: str) -> bool:
     try:
-        float(words)
+        return math.isfinite(float(words))
     except ValueError:
         return False
-    return True
 
 
 def text_driver(title: str, language: TextLanguage) -> DriverEntry:

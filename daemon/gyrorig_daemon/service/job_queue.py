@@ -37,6 +37,7 @@ INTERRUPTED = (
     "the job again."
 )
 MAX_KEPT_RESULTS = 1_000  # in done/ and in failed/ each
+MAX_KEPT_STEM = 200  # characters of the name of a job that gets a new name
 MAX_SCANNED = 4_096  # entries of the folder; the others are seen when these are gone
 MAX_REJECTED_AT_ONCE = 16  # files of one call; the event loop waits for it
 MTIME_STEP_NS = 100_000_000  # two changes of a folder within this time can have one mtime
@@ -112,12 +113,16 @@ class JobQueue:
             self._archive(job.path, "done" if succeeded else "failed", result)
 
     def requeue(self, job: SessionJob) -> None:
-        """Put a job back that was not started."""
+        """Put a job back that was not started; it gets a new name if its old one is in use."""
         if job.path is not None:
+            name = job.path.name
+            with contextlib.suppress(FileNotFoundError):
+                os.stat(name, dir_fd=self._inbox_fd, follow_symlinks=False)
+                name = f"{job.path.stem[:MAX_KEPT_STEM]}-{secrets.token_hex(2)}{job.path.suffix}"
             with contextlib.suppress(OSError):
                 os.rename(
                     job.path.name,
-                    job.path.name,
+                    name,
                     src_dir_fd=self._fds["running"],
                     dst_dir_fd=self._inbox_fd,
                 )

@@ -93,7 +93,7 @@ def enqueue_job(
     """
     program = parse_safe_program(program_text, name)
     validate_session_name(session)
-    program_source = program_text.decode("utf-8")
+    program_source = _decode_program(program_text, name)
     document: dict[str, Any] = {"schema": SCHEMA, "program": program_source, "home": home}
     if session is not None:
         document["session"] = session
@@ -111,6 +111,16 @@ def enqueue_job(
             "members can write to the queue",
         ) from error
     return path
+
+
+def _decode_program(text: bytes, name: str) -> str:
+    """Return the text of a program; YAML also permits UTF-16, which it cannot be."""
+    try:
+        return text.decode("utf-8")
+    except UnicodeDecodeError as error:
+        raise UsageError(
+            f"the motion program {name} is not a text in UTF-8", "save the file as UTF-8"
+        ) from error
 
 
 def validate_session_name(session: str | None) -> None:
@@ -149,12 +159,7 @@ def parse_job(text: bytes, name: str, path: Path | None = None) -> SessionJob:
     """
     document = parse_yaml(text, name, schema=SCHEMA)
     if isinstance(document, dict) and str(document.get("schema", "")) != SCHEMA:
-        try:  # YAML also permits UTF-16, which the program text cannot be
-            job_document = JobDocument(program=text.decode("utf-8"))
-        except UnicodeDecodeError as error:
-            raise UsageError(
-                f"the motion program {name} is not a text in UTF-8", "save the file as UTF-8"
-            ) from error
+        job_document = JobDocument(program=_decode_program(text, name))
     else:
         job_document = convert_document(document, JobDocument, name)
     validate_session_name(job_document.session)

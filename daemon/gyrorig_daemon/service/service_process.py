@@ -86,6 +86,7 @@ def load_config(path: Path) -> LoadedConfig:
             "guide",
             "record with `gyrorigd record`",
         )
+    make_port_settings(config, config.ports())  # checks the driver and its commands
     for entry in config.schedule:
         parse_program(read_document(path.parent / entry.program), entry.program)
     return LoadedConfig(config, text)

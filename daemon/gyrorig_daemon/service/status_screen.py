@@ -2,6 +2,8 @@
 
 from typing import Any
 
+from gyrorig_daemon.session.line_writer import escape_controls
+
 _PROGRESS_BAR_WIDTH = 24
 BOARD_LOSSES = ("sensor_overruns", "frames_dropped", "bus_errors")
 BUS_LOSSES = ("lost_in_kernel", "rx_overflow", "bus_off")
@@ -47,7 +49,8 @@ def render_status(status: dict[str, Any]) -> str:
     lines.append(
         "lost  " + (", ".join(f"{name} {n}" for name, n in losses_by_cause.items()) or "nothing")
     )
-    return "\n".join(lines)
+    # Members of the group choose the file names of jobs.
+    return "\n".join(escape_controls(line) for line in "\n".join(lines).split("\n"))
 
 
 def count_losses(status: dict[str, Any]) -> dict[str, int]:

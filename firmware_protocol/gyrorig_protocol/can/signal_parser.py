@@ -36,6 +36,7 @@ class CanSignalParser:
         self._messages_since_sample: dict[int, bytes] = {}  # messages since the last sample
         self._sample_number = -1
         self._last_counter: int | None = None
+        self._counted_number = 0  # of the sample with the last counter
         self.frames = 0
         self.faults = dict.fromkeys(FaultCause, 0)
 
@@ -90,8 +91,10 @@ class CanSignalParser:
         if self._last_counter is None:
             self._sample_number = count
         else:
-            self._sample_number += (count - self._last_counter) % (1 << counter.signal.bit_length)
-        self._last_counter = count
+            # Samples without a counter since then have advanced the number by themselves.
+            step = (count - self._last_counter) % (1 << counter.signal.bit_length)
+            self._sample_number = self._counted_number + step
+        self._last_counter, self._counted_number = count, self._sample_number
 
     def _read_triad(
         self, axes: tuple[ResolvedSignal | None, ...], messages: dict[int, bytes]

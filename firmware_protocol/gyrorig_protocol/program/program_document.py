@@ -27,7 +27,9 @@ SCHEMA = "gyrorig/program/1"
 MAX_STEPS = 100_000
 STEP_KINDS = ("rest", "move", "repeat", "home", "turn")  # a step has exactly one of these keys
 
-Positive = Annotated[float, msgspec.Meta(gt=0.0)]
+# Far beyond any unit, but finite in steps.
+Positive = Annotated[float, msgspec.Meta(gt=0.0, le=1e6)]
+Angle = Annotated[float, msgspec.Meta(ge=-1e6, le=1e6)]
 Seconds = Annotated[float, msgspec.Meta(ge=0.0, le=86_400.0)]
 
 
@@ -45,8 +47,8 @@ class Move(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     the move, in which the mechanics come to rest.
     """
 
-    pan_deg: float | None = None
-    tilt_deg: float | None = None
+    pan_deg: Angle | None = None
+    tilt_deg: Angle | None = None
     speed_deg_s: Positive | None = None
     pan_speed_deg_s: Positive | None = None
     tilt_speed_deg_s: Positive | None = None

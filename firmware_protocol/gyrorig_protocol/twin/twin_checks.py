@@ -37,6 +37,10 @@ UNITS = {
 MAX_ODR_HZ = 1e5
 # Largest sizes of a cause's values, by unit. Real ones are thousands of times smaller.
 MAX_CAUSE_SIZES = {"1": 1e3, "rad": 7.0, "rad/s": 1e3, "Hz": MAX_ODR_HZ, "s": 1e7, "K": 1e3}
+CAUSE_UNITS = frozenset(
+    {"1", "1/K", "Hz", "K", "degC", "rad", "rad/s", "rad/s/(m/s^2)", "rad/s/K", "rad/s/K^2"}
+    | {"rad/s/sqrt(s)", "rad/s^2", "s", "s/rad", "s^2", "s^2/rad^2", "samples"}
+)
 MAX_SKEW = 0.5  # relative
 MAX_LATENCY_S = 10.0
 
@@ -111,6 +115,12 @@ def check_twin(twin: Twin, name: str, error: type[GyrorigError] = UsageError) ->
                 hint or "write the name of a recording under `recordings`, or null",
             )
         for key, size in cause.parameters.items():
+            if size.unit not in CAUSE_UNITS:
+                raise error(
+                    f"{place}: {key} has the unit {size.unit!r:.40}, which is not the SI unit of a "
+                    "cause",
+                    "convert the value to the unit in the findings of `gyrorig explain`",
+                )
             largest = MAX_CAUSE_SIZES.get(size.unit)
             if largest is not None and abs(size.value) > largest:
                 raise error(

@@ -292,7 +292,7 @@ def test_the_command_reports_its_result(
     args = ["apply", str(golden), str(source), "-o", str(tmp_path / "b.mcap"), "--columns", "a,b,c"]
     assert cli.run(args) == 2
     assert (
-        "--columns, --unit, --temperature and --time are only for tables, but in.mcap is a recording"
+        "--unit, --temperature and --time are only for tables, but in.mcap is a recording"
         in capsys.readouterr().err
     )
     assert cli.run(["apply", str(golden), str(source), "-o", str(tmp_path / "b.bag")]) == 2

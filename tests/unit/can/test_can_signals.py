@@ -164,3 +164,34 @@ def test_the_signal_parser_never_raises(frames: list[CanFrame], preset: bool) ->
 def test_the_error_names_the_fault_of_a_map(chosen: SignalMap, problem: str) -> None:
     with pytest.raises(UsageError, match=problem):
         resolve_signals(chosen, "A")
+
+
+APART = """\
+BO_ 100 First: 8 IMU
+ SG_ X : 0|16@1- (0.0625,0) [0|0] "deg/s" A
+BO_ 101 Second: 8 IMU
+ SG_ Y : 0|16@1- (0.0625,0) [0|0] "deg/s" A
+ SG_ Z : 16|16@1- (0.0625,0) [0|0] "deg/s" A
+BO_ 102 Third: 8 IMU
+ SG_ Count : 0|8@1+ (1,0) [0|0] "" A
+"""
+
+
+@pytest.mark.parametrize(
+    ("lost", "numbers"),
+    [
+        (101, [5, 6, 8, 9, 10, 11]),  # a rate: the sample is missing
+        (102, [5, 6, 7, 8, 9, 10, 11]),  # the counter alone: no sample is missing
+    ],
+)
+def test_a_lost_message_does_not_shift_the_numbers(lost: int, numbers: list[int]) -> None:
+    plain = {"dbc": APART, "gyro": ["First.X", "Second.Y", "Second.Z"], "counter": "Third.Count"}
+    parser = CanSignalParser(resolve_signals(msgspec.convert(plain, SignalMap), "A"))
+    events: list[BoardEvent] = []
+    for count in range(5, 12):
+        for identifier in (102, 100, 101):
+            if count == 7 and identifier == lost:
+                continue
+            data = bytes([count]) if identifier == 102 else b""
+            events += parser.feed(CanFrame(identifier, data.ljust(8, b"\0")))
+    assert [sample.sequence for sample in samples(events)] == numbers

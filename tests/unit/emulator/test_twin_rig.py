@@ -20,7 +20,9 @@ from gyrorig_daemon.emulator.twin import draw_twin, make_twin_rig
 from gyrorig_daemon.emulator.twin.twin_devices import link_delay_s
 from gyrorig_protocol.documents import dump_yaml
 from gyrorig_protocol.errors import UsageError
-from gyrorig_protocol.twin import Twin, twin_to_plain
+from gyrorig_protocol.twin import Twin, check_twin, twin_to_plain
+from gyrorig_protocol.twin.twin_checks import CAUSE_UNITS
+from gyrorig_solver.model.catalogue import catalogue
 
 ROOT = Path(__file__).resolve().parents[3]
 SETTINGS = RigSettings(seed=9, session_s=(BEGIN_S, END_S))
@@ -131,6 +133,21 @@ def test_events_of_another_recording_do_not_happen() -> None:
     assert both[0].cause == "bias_step"
     # Findings give times of the motion, and a sample shows it a few ms later.
     assert both[0].number("at") == pytest.approx(stated - 7.3 + BEGIN_S, abs=0.01)
+
+
+@pytest.mark.parametrize("unit", ["deg", "mrad", "arcsec", ""])
+def test_a_cause_in_another_unit_is_refused(unit: str) -> None:
+    """The emulator would take 0.5 deg as 0.5 rad."""
+    plain = plain_twin()
+    sizes = {"gap.pan": quantity(0.5, None, unit)}
+    plain["causes"] = [{"cause": "backlash", "where": "pan", "parameters": sizes}]
+    with pytest.raises(UsageError, match="is not the SI unit of a cause"):
+        check_twin(msgspec.convert(plain, Twin), "twin.yaml")
+
+
+@pytest.mark.parametrize("cause", catalogue())
+def test_the_units_of_the_catalogue_are_accepted(cause: str) -> None:
+    assert {parameter.unit for parameter in catalogue()[cause].parameters} <= CAUSE_UNITS
 
 
 def test_hidden_causes_are_added_to_those_of_the_twin() -> None:

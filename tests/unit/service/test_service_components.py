@@ -250,6 +250,9 @@ def test_a_person_can_read_it(make_bench: Make) -> None:
     assert "lost  nothing" in running
     assert "board B-1  sends samples, " in running
     after = render_status(bench.state_at(11.0))
+    # A member of the group chooses the name of a waiting job.
+    hostile = bench.state_at(11.0) | {"queue": {"waiting": 1, "next": ["a\x1b]0;own\x07\udcfc"]}}
+    assert "next a\\x1b]0;own\\x07\\udcfc" in render_status(hostile)
     assert re.search(r", clock [+-]\d+\.\d ppm ± \d+ us\n", after)
     assert ", position reply within " in after
     assert "queue  empty" in after

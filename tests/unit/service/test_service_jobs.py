@@ -51,6 +51,39 @@ def test_a_job_may_wait_again(tmp_path: Path) -> None:
     assert queue.waiting_jobs() == [job.name]
 
 
+def test_a_program_that_is_not_utf_8_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match=r"p\.yaml is not a text in UTF-8"):
+        enqueue_job(tmp_path, PROGRAM.decode().encode("utf-16"), "p.yaml")
+
+
+def test_a_job_that_waits_again_does_not_replace_a_new_one(tmp_path: Path) -> None:
+    queue = JobQueue(tmp_path)
+    (tmp_path / "survey.yaml").write_bytes(PROGRAM)
+    job = queue.take_next()
+    assert job is not None
+    (tmp_path / "survey.yaml").write_bytes(PROGRAM.replace(b"short", b"other"))
+    queue.requeue(job)
+    assert len(queue.waiting_jobs()) == 2
+    names = {taken.program.name for taken in (queue.take_next(), queue.take_next()) if taken}
+    assert names == {"short", "other"}
+
+
+@pytest.mark.parametrize(
+    "step",
+    [
+        "move: {pan_deg: 1.0e+308}",
+        "move: {tilt_deg: -.inf}",
+        "move: {pan_deg: 1, speed_deg_s: 1e9}",
+    ],
+)
+def test_numbers_that_no_unit_can_have_are_refused(tmp_path: Path, step: str) -> None:
+    """They would be infinite in steps."""
+    queue = JobQueue(tmp_path)
+    (tmp_path / "a.yaml").write_bytes(b"name: p\nsteps:\n  - " + step.encode() + b"\n")
+    assert queue.take_next() is None
+    assert len(reasons(tmp_path)) == 1
+
+
 def test_what_is_no_job_is_put_aside_and_the_next_one_taken(tmp_path: Path) -> None:
     queue = JobQueue(tmp_path)
     (tmp_path / "a.yaml").write_bytes(b"[}")

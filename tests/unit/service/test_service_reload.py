@@ -77,6 +77,23 @@ def lose(_: ScriptedProcess) -> LoopExit:
     raise PortsGoneError("the acquisition process ended")
 
 
+@pytest.mark.parametrize(
+    "ptu",
+    [
+        "driver: directed_perceptio",
+        'driver: scpi_table, commands: {nosuch: "x"}',
+        'driver: scpi_table, commands: {number: "[0-9.]+"}',
+    ],
+)
+def test_a_driver_or_command_that_does_not_exist_is_refused_at_load(
+    tmp_path: Path, ptu: str
+) -> None:
+    path = tmp_path / "rig.yaml"
+    path.write_text(RIG.replace("port: emulated, baud: 115200", f"port: emulated, {ptu}"))
+    with pytest.raises(UsageError):
+        service_process.load_config(path)
+
+
 def test_a_reload_opens_the_new_rig(folder: Path) -> None:
     service = ScriptedProcess(folder, [lambda s: s.reload("second"), end])
     service.run()
