@@ -19,7 +19,7 @@ PROTOCOL_VERSION = 1
 
 Name = Annotated[str, msgspec.Meta(min_length=1, max_length=64, pattern=r"^[ -~]*$")]
 Text = Annotated[str, msgspec.Meta(max_length=64, pattern=r"^[ -~]*$")]
-Positive = Annotated[float, msgspec.Meta(gt=0.0, le=1e12)]
+Positive = Annotated[float, msgspec.Meta(ge=1e-12, le=1e12)]  # quotients of two are finite
 Count = Annotated[int, msgspec.Meta(ge=0, le=2**32 - 1)]
 Unit = Literal["dps", "rad/s", "g", "m/s2", "degC"]
 

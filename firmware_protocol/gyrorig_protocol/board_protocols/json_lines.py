@@ -64,6 +64,7 @@ class JsonLineParser:
         self._decoder = msgspec.json.Decoder(dict[str, object])
         self._drops_line = True
         self._line_count = -1
+        self._sends_time = False  # a line had a time
         self.faults = dict.fromkeys(FaultCause, 0)
 
     def reset(self) -> None:
@@ -110,8 +111,11 @@ class JsonLineParser:
         required[options.temperature_key] = temperature
         if gyro is None or any(key in values and v is None for key, v in required.items()):
             return FaultCause.NUMBER
+        if time_ticks is None and self._sends_time:
+            return FaultCause.NUMBER
         if time_ticks is not None and time_ticks < 0:
             return FaultCause.NUMBER
+        self._sends_time = time_ticks is not None
         return Sample(0, sequence, time_ticks, gyro, accel, temperature)
 
 

@@ -46,6 +46,9 @@ from gyrorig_protocol.can.hello_segments import HelloAssembler
 MAX_WAITING_SAMPLES = 256  # a wrap of 262 ms has 210 samples at 800 Hz
 _MAX_GAP_NS = 131_000_000  # half a wrap; after a longer gap a timestamp could be wrong by one wrap
 _TIME_MASK = 0xFFFF_FFFF
+# Between two STATUS, which come ten times per second. The number of a sample wraps after 82 s at
+# 800 Hz, so that the difference of two numbers does not give the period after a longer silence.
+MAX_STATUS_TICKS = 2_000_000
 _NUMBER_MASK = 0xFFFF
 _DATA_BYTES: dict[int, int] = {
     FrameType.LATCH: LATCH_BYTES,
@@ -240,7 +243,7 @@ class CanBoardParser:
             return
         elapsed_ticks = (time_ticks - self._last_status[0]) & _TIME_MASK
         steps = (number - self._last_status[1]) & _NUMBER_MASK
-        if 0 < steps < 1 << 15 and 0 < elapsed_ticks < 1 << 31:
+        if 0 < steps < 1 << 15 and 0 < elapsed_ticks < MAX_STATUS_TICKS:
             self._period_ticks = elapsed_ticks / steps
 
     def _resynchronise(self, time_ticks: int, number: int) -> None:

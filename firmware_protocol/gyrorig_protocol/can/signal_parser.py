@@ -76,7 +76,9 @@ class CanSignalParser:
             accel = self._read_triad(signal_map.accel, messages)
         if signal_map.temperature is not None:
             temperature = self._read_count(signal_map.temperature, messages, _INT16)
-        if signal_map.time is not None and signal_map.time.key in messages:
+        if signal_map.time is not None:
+            if signal_map.time.key not in messages:  # a sample without a time has no use
+                return self._report_fault(FaultCause.CONTENT, frame)[0]
             time_ticks = int(signal_map.time.signal.raw_value(messages[signal_map.time.key]))
         sample = Sample(0, self._sample_number & _NUMBER_MASK, time_ticks, gyro, accel, temperature)
         return FrameEvent(sample, frame.timestamp_ns, 0, frame.data)

@@ -2,6 +2,8 @@
 
 from dataclasses import dataclass, field
 
+import msgspec
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -238,3 +240,30 @@ def test_wrong_lengths_are_counted() -> None:
     assert parser.wants(4 << 7 | NODE)
     assert not parser.wants(4 << 7 | NODE | 1 << 31)
     assert not parser.wants(1 << 7)
+
+
+@pytest.mark.parametrize("gap_s", [1.0, 81.0, 83.0, 100.0, 164.5])
+def test_samples_after_a_silence_have_different_numbers(gap_s: float) -> None:
+    """The 16-bit number wraps after 82 s at 800 Hz, the time in a STATUS after 72 minutes."""
+    parser = CanBoardParser(NODE)
+    period_us = 1250
+    samples: list[Sample] = []
+
+    def send(first: int, count: int) -> None:
+        for number in range(first, first + count):
+            at_us = number * period_us
+            frames = [gyro_frame(NODE, (1, 2, 3), at_us)]
+            if number % 80 == 0:
+                frames.insert(0, status_frame(NODE, at_us, number, 7))
+            for frame in frames:
+                timed = msgspec.structs.replace(frame, timestamp_ns=at_us * 1000 + 5_000)
+                for event in parser.feed(timed):
+                    if isinstance(event, FrameEvent) and isinstance(event.frame, Sample):
+                        samples.append(event.frame)
+
+    send(0, 400)
+    samples.clear()
+    first = 30 + int(gap_s * 1e6 / period_us)
+    send(first, 400)
+    expected = [(first + index) & 0xFFFF for index in range(400)]
+    assert [sample.sequence for sample in samples] == expected

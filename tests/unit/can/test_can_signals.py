@@ -195,3 +195,17 @@ def test_a_lost_message_does_not_shift_the_numbers(lost: int, numbers: list[int]
             data = bytes([count]) if identifier == 102 else b""
             events += parser.feed(CanFrame(identifier, data.ljust(8, b"\0")))
     assert [sample.sequence for sample in samples(events)] == numbers
+
+
+def test_a_sample_without_its_time_is_a_gap() -> None:
+    """Its time would be recorded as 0, and look like a step of the clock."""
+    parser = CanSignalParser(resolve_signals(rate_map(time="More.Clock"), "A"))
+    events: list[BoardEvent] = []
+    for number in range(6):
+        if number != 3:
+            events += parser.feed(CanFrame(101, struct.pack("<IbbH", 100 * number, 0, 0, 0)))
+        events += parser.feed(CanFrame(100, struct.pack("<3hH", 1, 2, 3, number)))
+    found = samples(events)
+    assert [sample.device_time for sample in found] == [0, 100, 200, 400, 500]
+    assert [sample.sequence for sample in found] == [0, 1, 2, 4, 5]
+    assert parser.faults[FaultCause.CONTENT] == 1

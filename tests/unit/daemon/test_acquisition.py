@@ -11,6 +11,8 @@ import subprocess
 import sys
 import termios
 import time
+import tty
+from collections import deque
 from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
@@ -18,6 +20,7 @@ from pathlib import Path
 import pytest
 
 from gyrorig_daemon.links.can.multicast_line import MulticastLine
+from gyrorig_daemon.links.ports.acquisition import Acquisition
 from gyrorig_daemon.links.ports.acquisition_hub import AcquisitionHub, PortSettings
 from gyrorig_daemon.links.ports.acquisition_pipe import CHUNK, REPORT_HEADER, ReportParser
 from gyrorig_daemon.links.ports.port_errors import port_error
@@ -25,6 +28,7 @@ from gyrorig_daemon.links.ports.port_hub import Chunk, PortChange, PortsGoneErro
 from gyrorig_daemon.links.ports.raw_clock import raw_ns
 from gyrorig_daemon.links.ports.report_queue import GATHER_NS, PIPE_BYTES
 from gyrorig_daemon.links.ports.serial_port import PortRefusedError, open_port
+from gyrorig_daemon.links.ports.supervised_port import SupervisedPort
 from gyrorig_daemon.links.pump import Pump
 from gyrorig_protocol.can import CanFrame, pack_frames, unpack_frames
 from gyrorig_protocol.errors import BusyError, DeviceError, MachineError, UsageError
@@ -486,3 +490,60 @@ def test_an_adapter_that_fails_during_configuration(
     assert caught.value.reason == "broken"
     error = port_error("board:A", line.path, caught.value.reason, str(caught.value))
     assert isinstance(error, DeviceError)
+
+
+def make_acquisition(settings: PortSettings) -> tuple[Acquisition, SupervisedPort, int]:
+    """Return an acquisition that runs in this process, its closed port, and its reports."""
+    port = SupervisedPort(0, settings)
+    commands, reports, urgent = os.pipe(), os.pipe(), os.pipe()
+    for descriptor in (*reports, *urgent):
+        os.set_blocking(descriptor, False)
+    acquisition = Acquisition([port], commands[0], reports[1], urgent[1], None, b"\0")
+    return acquisition, port, reports[0]
+
+
+def test_a_unit_that_was_unplugged_while_the_daemon_was_silent_is_halted() -> None:
+    """It gets the halt when its port is open again, because the daemon does not send it."""
+    device, line = pty.openpty()
+    tty.setraw(line)
+    os.set_blocking(device, False)
+    acquisition, port, _ = make_acquisition(PortSettings(os.ttyname(line), 9600, "H "))
+    acquisition._last_command_ns = raw_ns() - 4 * SECOND_NS
+    acquisition._halt_if_silent(raw_ns())
+    acquisition._retry_closed_ports()
+    assert port.line is not None
+    acquisition._halt_if_silent(raw_ns())
+    select.select([device], [], [], PATIENCE_S)
+    assert os.read(device, 100) == b"H "
+
+
+def test_bytes_before_and_after_a_loss_do_not_make_one_line() -> None:
+    device, line = pty.openpty()
+    tty.setraw(line)
+    acquisition, port, reports = make_acquisition(
+        PortSettings(os.ttyname(line), 9600, "", quota_bytes_per_s=20)
+    )
+    acquisition._retry_closed_ports()
+    parser, hub = ReportParser(), object.__new__(AcquisitionHub)
+    hub._names, hub._closed_ports, hub.dropped_bytes = ["b"], set(), 0
+    chunks: deque[Chunk] = deque()
+
+    def deliver(data: bytes) -> None:
+        os.write(device, data)
+        assert port.line is not None
+        select.select([port.line.fd], [], [], PATIENCE_S)
+        acquisition._read(port, False)
+        acquisition._bulk.flush()
+
+    deliver(b"1,2,3\n" * 8 + b"-1")  # more than the quota
+    os.write(device, b"20,5,6\n10,-34")
+    assert port.line is not None
+    select.select([port.line.fd], [], [], PATIENCE_S)
+    acquisition._unmute_ports(port.muted_until_ns)
+    deliver(b"45,7,8\n11,12,13\n")
+    for report in parser.feed(os.read(reports, PIPE_BYTES)):
+        hub._store_report(report, chunks)
+    kept = [chunk for chunk in chunks if chunk.data or chunk.is_after_loss]
+    assert [chunk.is_after_loss for chunk in kept] == [False, True, False]
+    assert kept[2].data.startswith(b"45,7,8")
+    assert hub.dropped_bytes == 13

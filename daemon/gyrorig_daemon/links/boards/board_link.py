@@ -231,6 +231,8 @@ class BoardLink:
         if len(self._first_bytes) < FIRST_BYTES_LIMIT:
             self._first_bytes += chunk.data[:FIRST_BYTES_LIMIT]
         if self._parser is not None:
+            if chunk.is_after_loss:
+                self._parser.reset()  # the bytes before the loss and after it are not one line
             for event in self._parser.feed(chunk.data, chunk.received_ns):
                 self._handle_event(event)
 

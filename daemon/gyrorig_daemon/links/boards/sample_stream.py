@@ -90,9 +90,9 @@ class SampleStream:
         self.clock = self._new_clock()
 
     def apply_hello(self, hello: Hello) -> None:
-        """Use the board's clock rate and sample rate; the first time, start a new map."""
-        is_first, self._hello = self._hello is None, hello
-        if is_first:
+        """Use the board's clock rate and sample rate; start a new map for another clock rate."""
+        previous, self._hello = self._hello, hello
+        if previous is None or previous.tick_hz != hello.tick_hz:
             self.clock = self._new_clock()
             self._pending_epoch, self._counted_epochs = None, 0
 

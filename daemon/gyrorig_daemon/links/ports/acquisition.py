@@ -63,7 +63,7 @@ class Acquisition:
         self._halt_fd = halt_fd
         self._halting_orders = halting_orders
         self._command_buffer = bytearray()
-        self._dropped_bytes = 0
+        self._dropped_bytes: dict[int, int] = {}  # by port, not reported yet
         # readable, and read before the next transfer
         self._deferred_ports: list[SupervisedPort] = []
         self._muted_ports: list[SupervisedPort] = []
@@ -223,7 +223,9 @@ class Acquisition:
         if self._last_command_ns is None:
             return
         self._last_command_ns += self._lateness_ns  # this process did not run either
-        if now_ns - self._last_command_ns > DEAD_MAN_NS:
+        # A unit that is unplugged now gets the halt when its port is open again.
+        is_unplugged = any(port.is_urgent and port.line is None for port in self._ports)
+        if now_ns - self._last_command_ns > DEAD_MAN_NS and not is_unplugged:
             self._last_command_ns = None  # armed again by the next command
             self._writes.halt(SILENT, False)
 
@@ -280,11 +282,13 @@ class Acquisition:
                 self._urgent.add(kind, index, first_ns, second_ns, data)
             return
         if len(self._bulk) > MAX_BUFFERED_BYTES and kind == acquisition_pipe.CHUNK:
-            self._dropped_bytes += len(data)
+            self._dropped_bytes[index] = self._dropped_bytes.get(index, 0) + len(data)
             return
-        if self._dropped_bytes and len(self._bulk) < MAX_BUFFERED_BYTES // 2:
-            self._bulk.add(acquisition_pipe.DROPPED, index, raw_ns(), self._dropped_bytes, b"")
-            self._dropped_bytes = 0
+        # The parser of a port learns of its loss before it gets the next bytes.
+        is_relaxed = len(self._bulk) < MAX_BUFFERED_BYTES // 2
+        for port in list(self._dropped_bytes) if is_relaxed else [index]:
+            if dropped := self._dropped_bytes.pop(port, 0):
+                self._bulk.add(acquisition_pipe.DROPPED, port, raw_ns(), dropped, b"")
         if not self._has_pending_data():
             self._bulk.begin_batch()
         self._bulk.add(kind, index, first_ns, second_ns, data)

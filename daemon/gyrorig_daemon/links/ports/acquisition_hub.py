@@ -300,6 +300,7 @@ class AcquisitionHub:
             chunks.append(Chunk(name, report.first_ns, b"", PortChange.BACK))
         elif report.kind == acquisition_pipe.DROPPED:
             self.dropped_bytes += report.second_ns
+            chunks.append(Chunk(name, report.first_ns, b"", is_after_loss=True))
 
     def _send(self, command: bytes) -> None:
         if self._end_reason is not None:

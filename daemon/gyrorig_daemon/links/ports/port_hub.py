@@ -32,6 +32,7 @@ class Chunk(NamedTuple):
     text: str = ""  # why the port is gone
     late_ns: int = 0  # largest error of the timestamp if the reading process did not run
     is_early: bool = False  # chunks of other ports that are older can still come
+    is_after_loss: bool = False  # bytes of this port before it were discarded
 
 
 @dataclass(frozen=True, slots=True)

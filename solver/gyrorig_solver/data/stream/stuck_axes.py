@@ -113,7 +113,8 @@ def _long_runs(stream: CountStream, axis: int) -> list[_Run]:
             if length < min_length:
                 continue
             value = int(counts[first, axis])
-            others_change = not is_repeat[first:stop, (axis + 1) % 3].all()
+            others = [other for other in range(3) if other != axis]
+            others_change = not is_repeat[first:stop, others].all(axis=0).all()
             is_extreme = value in (lowest, highest)
             runs.append(_Run(rows.start + first, length, value, is_extreme, others_change))
     return runs
