@@ -47,6 +47,13 @@ def read_recording(path: Path) -> Recording:
         InputError: the file does not exist, is empty, or is of another kind or format.
         MachineError: this computer cannot read it (permissions, disk).
     """
+    try:
+        path.name.encode()
+    except UnicodeEncodeError as fault:
+        raise InputError(
+            f"the name of the recording {ascii(path.name)} is not a text in UTF-8",
+            "rename the file",
+        ) from fault
     data = map_mcap_file(path)
     try:
         return _read_mapped(path, data, all_records=False)

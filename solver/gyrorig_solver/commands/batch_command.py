@@ -100,7 +100,7 @@ _UNPROTECTED_SCHEDULER = (
 )
 @click.option(
     "--deadline",
-    type=click.FloatRange(min=1.0),
+    type=click.FloatRange(1.0, 31_536_000.0),
     default=300.0,
     show_default=True,
     metavar="SECONDS",

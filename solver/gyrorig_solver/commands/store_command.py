@@ -109,14 +109,15 @@ def ls_command(
     open_existing_store(folder)
     version_filter = VersionFilter(board, sensor, rig, config_hash, since, until)
     if wrong:
-        rows = unsuccessful_work(folder, limit)
+        rows = unsuccessful_work(folder, version_filter, limit + 1)
         columns: tuple[str, ...] = ("status", "board", "created", "names", "reason")
     else:
-        rows = (all_versions if every else newest_versions)(folder, version_filter, limit)
+        rows = (all_versions if every else newest_versions)(folder, version_filter, limit + 1)
         columns = ("board", "version", "trust", "created", "start", "sensor", "rig")
+    has_more, rows = len(rows) > limit, rows[:limit]
     headings = {"trust": "verdict", "start": "recorded", "names": "recordings"}
     terminal.print_result(_table(rows, {name: headings.get(name, name) for name in columns}))
-    if len(rows) == limit:
+    if has_more:
         terminal.print_result(f"Only the first {limit} are listed. Use a larger --limit for more.")
     terminal.print_json({"rows": [{key: _json_value(row[key]) for key in row} for row in rows]})
     return 0
@@ -317,6 +318,8 @@ def rebuild_command(terminal: Terminal, folder: Storage, sign: Path | None) -> i
 
 
 def _version_text(calibration: CalibrationDocument) -> str:
+    if not calibration.inputs:
+        return f"version {calibration.version}, made {calibration.created[:10]}"
     return f"version {calibration.version}, recorded {calibration.inputs[0].start[:10]}"
 
 

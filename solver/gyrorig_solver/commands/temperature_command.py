@@ -16,6 +16,7 @@ from gyrorig_solver.calibration import (
 from gyrorig_solver.calibration.calibration_document import calibration_as_yaml
 from gyrorig_solver.calibration.calibration_summary import calibration_summary
 from gyrorig_solver.commands.terminal import Terminal, choice_option, folder_option, json_option
+from gyrorig_solver.data.utc_time import utc_text_now
 from gyrorig_solver.pipeline.temperature_values import (
     UNITS,
     document_without_motion,
@@ -82,6 +83,7 @@ def temperature_command(
             document,
             board=msgspec.structs.replace(document.board, id=str(name)),
             version=version,
+            created=utc_text_now(),
             previous=previous,
         )
         return calibration_as_yaml(result)

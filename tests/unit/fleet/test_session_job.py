@@ -143,7 +143,7 @@ def test_a_borrowed_process_is_limited_during_the_job_only(
 ) -> None:
     seen: list[int] = []
 
-    def look(item: Job) -> list[Any]:
+    def look(item: Job, unfinished: list[str]) -> list[Any]:
         seen.append(resource.getrlimit(resource.RLIMIT_AS)[0])
         raise MemoryError
 

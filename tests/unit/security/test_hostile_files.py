@@ -220,7 +220,9 @@ def test_a_file_that_needs_too_much_time_is_refused(monkeypatch: pytest.MonkeyPa
 def test_a_job_that_exceeds_the_memory_of_its_file_is_rejected(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def greedy(_job: Job, _recordings: Sequence[Recording]) -> Iterator[IndexRow]:
+    def greedy(
+        _job: Job, _recordings: Sequence[Recording], _unfinished: list[str]
+    ) -> Iterator[IndexRow]:
         raise MemoryError
 
     monkeypatch.setattr(session_job, "_read_recordings", lambda _job: [])

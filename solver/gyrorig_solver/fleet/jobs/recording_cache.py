@@ -85,7 +85,8 @@ class RecordingCache:
         return known, unread
 
     def _key(self, name: str) -> str:
-        return f"{self._spool}/{name}"
+        # SQLite stores UTF-8 only, and a file name can have other bytes.
+        return f"{self._spool}/{name}".encode("utf-8", "backslashreplace").decode()
 
     def _save(self) -> None:
         if self._database is not None and self._new:

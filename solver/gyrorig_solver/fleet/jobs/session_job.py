@@ -53,6 +53,7 @@ from gyrorig_solver.storage import (
 )
 
 VERSIONS_CHECKED = 3  # latest versions that are checked for this job's result
+UNKNOWN_UIDS = frozenset({"", "unknown"})  # of old boards, imports and tables
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,28 +110,40 @@ def run_job(job: Job) -> JobResult:
         MachineError: the store or the machine refuses; nothing is recorded.
     """
     started_s = time.process_time()
+    rows: list[IndexRow] = []
+    unfinished: list[str] = []  # boards of the session that have no row yet
+
+    def add_failure(status: WorkStatus, reason: str, trace: str = "") -> None:
+        # A board that is in the store keeps its row: without one, its version is lost.
+        boards = [board for board in unfinished if board not in {row.board for row in rows}]
+        rows.extend(
+            failure_row(job, status, reason=reason, trace=trace, board=board)
+            for board in (boards if rows else [""])
+        )
+
     try:
         with deadline(job.settings.deadline_s):
-            rows = tuple(_solve_boards(job))
+            for row in _solve_boards(job, unfinished):
+                rows.append(row)  # an error keeps the rows before it
     except MachineError:
         raise
     except GyrorigError as fault:
-        rows = (failure_row(job, "rejected", reason=str(fault)),)
+        add_failure("rejected", str(fault))
     except DeadlineExceededError:
         reason = (
             f"the session took longer than {job.settings.deadline_s:g} s. Repeat it with "
             "--retry failed and a larger --deadline."
         )
-        rows = (failure_row(job, "failed", reason=reason, trace=traceback.format_exc()),)
+        add_failure("failed", reason, traceback.format_exc())
     except MemoryError:
         reason = (
             f"the session needs more than {job.settings.memory_bytes >> 20} MB of memory. "
             "Repeat it with --retry failed and a larger --memory."
         )
-        rows = (failure_row(job, "failed", reason=reason),)
+        add_failure("failed", reason)
     except Exception as fault:  # an error of this program must not stop the batch
         reason = _program_error_text(fault)
-        rows = (failure_row(job, "failed", reason=reason, trace=traceback.format_exc()),)
+        add_failure("failed", reason, traceback.format_exc())
     cpu_time_s = time.process_time() - started_s
     return JobResult(
         job.key, tuple(msgspec.structs.replace(row, seconds=cpu_time_s) for row in rows)
@@ -173,9 +186,9 @@ def failure_row(
         created=utc_text_now(),
         batch=job.batch,
         inputs=list(job.digests),
-        names=[path.name for path in job.paths],
-        reason=" ".join(reason.split())[:MAX_TRACE_CHARS],
-        trace=trace[-MAX_TRACE_CHARS:],
+        names=[_encodable(path.name) for path in job.paths],
+        reason=_encodable(" ".join(reason.split())[:MAX_TRACE_CHARS]),
+        trace=_encodable(trace[-MAX_TRACE_CHARS:]),
         session=metadata.get("session", ""),
         rig=metadata.get("rig", ""),
         board=str(board),  # BoardId is a subclass of str that msgspec does not encode
@@ -184,12 +197,12 @@ def failure_row(
     )
 
 
-def _solve_boards(job: Job) -> Iterator[IndexRow]:
+def _solve_boards(job: Job, unfinished: list[str]) -> Iterator[IndexRow]:
     if job.rejection:
         raise InputError(job.rejection, job.remedy)
     recordings = _read_recordings(job)
     with _fit_memory_limit(job, recordings):
-        yield from _solve_recordings(job, recordings)
+        yield from _solve_recordings(job, recordings, unfinished)
 
 
 def _read_recordings(job: Job) -> list[Recording]:
@@ -210,13 +223,16 @@ def _read_recordings(job: Job) -> list[Recording]:
     return recordings
 
 
-def _solve_recordings(job: Job, recordings: Sequence[Recording]) -> Iterator[IndexRow]:
+def _solve_recordings(
+    job: Job, recordings: Sequence[Recording], unfinished: list[str]
+) -> Iterator[IndexRow]:
     boards = sorted({board for recording in recordings for board in recording.board_ids})
     if not boards:
         raise InputError(
             f"the recording {job.paths[0].name} contains no samples of a board",
             "check the recording with `gyrorig check`, connect the board, and record again",
         )
+    unfinished += boards
     store = CalibrationStore(job.store)
     fits: dict[str, CriticisedFit | GyrorigError] = {}
     failure: _JointFitFailedError | None = None
@@ -310,6 +326,11 @@ def _solve_board(
     )
 
 
+def _encodable(text: str) -> str:
+    """Return a text with escapes for the bytes of a file name that are not UTF-8."""
+    return text.encode("utf-8", "backslashreplace").decode()
+
+
 def _program_error_text(fault: Exception) -> str:
     return f"an error of the program, {type(fault).__name__}: {fault}"
 
@@ -350,7 +371,8 @@ def _check_newest_versions(
     config = job.settings.config_sha256
     for stored in reversed(newest):
         calibration = _parse_cached(stored.data(), str(stored.path))
-        if stored is newest[-1] and uid and calibration.board.uid not in ("", uid):
+        are_known = not {uid, calibration.board.uid} & UNKNOWN_UIDS
+        if stored is newest[-1] and are_known and calibration.board.uid != uid:
             raise InputError(
                 f"board {board} has the uid {uid[:40]!r} in the recording, but "
                 f"{calibration.board.uid[:40]!r} in the store, so two boards have the same "

@@ -150,7 +150,7 @@ def calibration_row(
         uid=calibration.board.uid,
         sensor=calibration.board.sensor,
         config_hash=calibration.board.config.config_hash or "",
-        start=calibration.inputs[0].start,
+        start=calibration.inputs[0].start if calibration.inputs else None,
         duration_s=sum(recording.duration_s for recording in calibration.inputs),
         temperature_degc=(
             midpoint(calibration.validity.temperature_degc)

@@ -36,7 +36,7 @@ _DIGEST_CHARS = 12  # of a digest, in a file's name
 # has three parts, so that a query for one board reads the rows of that board only.
 _ROWS_VIEW_SQL = """CREATE VIEW rows AS
     SELECT * FROM all_rows WHERE status = 'ok'
-    QUALIFY row_number() OVER (PARTITION BY key, board) = 1
+    QUALIFY row_number() OVER (PARTITION BY key, board, file) = 1
     UNION ALL
     SELECT * FROM (
         SELECT * FROM all_rows WHERE status <> 'ok' AND board <> ''

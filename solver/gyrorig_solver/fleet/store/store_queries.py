@@ -145,20 +145,25 @@ def versions_by_measurement_time(store: Storage, board: BoardId) -> list[Measure
     for stored_version in versions:
         if stored_version.number not in known:
             calibration = parse_calibration(stored_version.data(), str(stored_version.path))
-            started = datetime.fromisoformat(calibration.inputs[0].start).replace(tzinfo=None)
+            # a calibration from a table has no recording
+            start = calibration.inputs[0].start if calibration.inputs else calibration.created
+            started = datetime.fromisoformat(start).replace(tzinfo=None)
             known[stored_version.number] = (started, calibration.board.config.config_hash or "")
         measured.append(MeasuredVersion(stored_version, *known[stored_version.number]))
     return sorted(measured, key=lambda item: (item.start, item.version.number))
 
 
-def unsuccessful_work(store: Path | Storage, limit: int) -> list[dict[str, Any]]:
+def unsuccessful_work(
+    store: Path | Storage, version_filter: VersionFilter, limit: int
+) -> list[dict[str, Any]]:
     """Return the jobs without a calibration, the latest first."""
+    where, values = version_filter.where_clause()
     names = ("status", "reason", "names", "board", "created", "trace")
     sql = (
-        f"SELECT {', '.join(names)} FROM rows WHERE status <> 'ok' "  # noqa: S608
+        f"SELECT {', '.join(names)} FROM rows WHERE status <> 'ok' AND {where} "  # noqa: S608
         "ORDER BY created DESC LIMIT ?"
     )
-    return _rows_as_dicts(names, StoreIndex(store).query(sql, [limit]))
+    return _rows_as_dicts(names, StoreIndex(store).query(sql, [*values, limit]))
 
 
 def rebuild_index(store: Path | Storage, signer: Signer | None = None) -> int:
@@ -219,7 +224,8 @@ def _rebuilt_row(
     calibration: CalibrationDocument, file: str, digest: str, companions: Sequence[str]
 ) -> IndexRow:
     """Return a version's row; session and rig come from the recording's file name."""
-    match = _RECORDING_NAME.fullmatch(calibration.inputs[0].name)
+    name = calibration.inputs[0].name if calibration.inputs else ""
+    match = _RECORDING_NAME.fullmatch(name)
     inputs = [recording.sha256 for recording in calibration.inputs]
     return calibration_row(
         calibration,
