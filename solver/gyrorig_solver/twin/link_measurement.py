@@ -164,6 +164,7 @@ def measure_floor(pings: RecordArray, tick_hz: float, baud: float) -> HostFloor 
         std_s=floors_s / math.sqrt(12.0),
         excess_s=float(np.mean(excess_s)),
         excess_std_s=float(np.std(excess_s)) / math.sqrt(excess_s.size),
+        exchange_count=excess_s.size,
     )
 
 
@@ -245,7 +246,7 @@ def measure_link(boards: Mapping[str, BoardData]) -> MeasuredLink:
     for name, data in boards.items():
         floor = _floor_of_board(name, data)
         if floor is not None:
-            floors[name] = floor
+            floors[name] = floor if latency is None else floor.without_bias(latency.jitter_s)
     return MeasuredLink(_section(latency, _best_floor(floors)), latency, floors)
 
 

@@ -32,6 +32,7 @@ STALL_FACTOR = 15.0  # times the usual excess; a later sample waited for a stall
 SAME_STALL_S = 0.02  # after a stall, all waiting frames arrive within this time
 CLOCK_S = (1.0, 3.0, 10.0)  # time steps of the clock's innovation
 SENSOR_AXES = "xyz"
+ROBUST_STD = 1.4826  # standard deviation of a normal sample by its median absolute deviation
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -256,7 +257,9 @@ def _motion_families(session: ObservedSession) -> list[Family]:
     for name, moves in zip(AXES, session.moves, strict=True):
         if moves.start_s.size >= 2:
             delay = 1e3 * (moves.start_s - moves.command_s)
-            delays += [float(np.median(delay)), float(np.std(delay))]
+            # A stall delays some replies in a recording, but not in a replay.
+            scatter = ROBUST_STD * float(np.median(np.abs(delay - np.median(delay))))
+            delays += [float(np.median(delay)), scatter]
             delay_x += [0.0, 1.0]
             delay_axis += [name, name]
     fitted = session.reference.move_fit.parameters

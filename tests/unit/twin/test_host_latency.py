@@ -5,7 +5,12 @@ import pytest
 from scipy import stats
 
 from gyrorig_protocol.twin import Scalar, TwinLink, TwinUnit
-from gyrorig_solver.twin.host_latency import HostLatency, median_derivatives, median_of_sum
+from gyrorig_solver.twin.host_latency import (
+    HostFloor,
+    HostLatency,
+    median_derivatives,
+    median_of_sum,
+)
 from gyrorig_solver.twin.joint_covariance import LATENCIES, latency_covariance
 
 MEANS = [(3e-4, 1e-4), (1e-4, 3e-4), (3e-4, 3e-4), (3e-4, 3.0001e-4), (3e-4, 1e-9)]
@@ -64,3 +69,25 @@ def test_draws_keep_the_median_of_the_replies() -> None:
     assert np.mean(replies_s) == pytest.approx(answer_s + host.exchange_s, abs=1e-6)
     assert np.std(replies_s) == pytest.approx(reply_std_s, rel=0.1)
     assert np.std(draws[:, -1]) > 4.0 * reply_std_s
+
+
+@pytest.mark.parametrize(("write_jitter_s", "count"), [(1e-4, 100), (1e-4, 650), (3e-4, 200)])
+def test_the_floor_is_below_the_shortest_exchange(write_jitter_s: float, count: int) -> None:
+    """Against drawn exchanges: without the bias, floor and jitter are right on average."""
+    rng = np.random.default_rng(3)
+    jitter_s, floors_s = 3e-4, 1.1e-4
+    found = []
+    for _ in range(2000):
+        latency_s = rng.exponential(jitter_s, count) + rng.exponential(write_jitter_s, count)
+        shortest_s = float(latency_s.min())
+        excess_s = float(latency_s.mean()) - shortest_s
+        floor = HostFloor((floors_s + shortest_s) / 2.0, 3e-5, excess_s, 2e-5, count)
+        right = floor.without_bias(jitter_s)
+        found.append((2.0 * right.floor_s, right.excess_s - jitter_s, shortest_s))
+    floor_s, write_s, bias_s = np.mean(found, axis=0)
+    assert abs(floor_s - floors_s) < 0.2 * bias_s
+    assert write_s == pytest.approx(write_jitter_s, rel=0.05)
+
+
+def test_the_floor_is_not_negative() -> None:
+    assert HostFloor(1e-6, 1e-6, 9e-4, 1e-5, 50).without_bias(3e-4).floor_s == 0.0
