@@ -213,15 +213,15 @@ class Session:
     @staticmethod
     def _split(steps: tuple[Step, ...], blocks: list[MotionBlock]) -> list[MotionBlock]:
         """Return a program as the blocks that it consists of; the rest of it as one block."""
-        found: list[MotionBlock] = []
+        matches: list[MotionBlock] = []
         longest_first = sorted(blocks, key=lambda block: -len(block.steps))
         while steps:
             match = next((b for b in longest_first if steps[: len(b.steps)] == b.steps), None)
             if match is None:
-                return [*found, MotionBlock("others", steps)]
-            found.append(match)
+                return [*matches, MotionBlock("others", steps)]
+            matches.append(match)
             steps = steps[len(match.steps) :]
-        return found
+        return matches
 
     def _products(self, pair: CausePair, program: MotionProgram) -> PairProducts:
         (products,) = pair_products(simulate_recording(self._solution, program, self._unit), [pair])

@@ -121,13 +121,13 @@ class RigTwin:
         )
         rates = {}
         for board in rig.settings.boards:
-            own = session[board.name]
-            aligned, slope = self._aligned(board, own.hidden_rad_s)
+            board_rates = session[board.name]
+            aligned, slope = self._aligned(board, board_rates.hidden_rad_s)
             rates[board.name] = NoiseFreeRates(
-                own.number,
-                own.time_s,
-                own.hidden_rad_s,
-                own.between_rad_s,
+                board_rates.number,
+                board_rates.time_s,
+                board_rates.hidden_rad_s,
+                board_rates.between_rad_s,
                 plain_rad_s=self._delayed_by_steps(board, 0),
                 aligned_rad_s=aligned,
                 slope_rad_s2=slope,
@@ -219,8 +219,9 @@ def _axis_commands(rig: EmulatedRig) -> dict[str, Sequence[AxisCommand]]:
 
 
 def _replay_commands(rig: EmulatedRig, commands: Mapping[str, Sequence[AxisCommand]]) -> None:
-    for axis, own in ((rig.stage.pan, commands["pan"]), (rig.stage.tilt, commands["tilt"])):
-        axis.replay(own[len(axis.commands) :])  # without those of the power-up: they were executed
+    for axis, name in ((rig.stage.pan, "pan"), (rig.stage.tilt, "tilt")):
+        # The axis has executed the commands of the power-up.
+        axis.replay(commands[name][len(axis.commands) :])
 
 
 def _replay_session(

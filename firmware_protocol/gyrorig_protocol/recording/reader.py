@@ -51,7 +51,7 @@ def read_recording(path: Path) -> Recording:
         path.name.encode()
     except UnicodeEncodeError as fault:
         raise InputError(
-            f"the name of the recording {ascii(path.name)} is not a text in UTF-8",
+            f"the name of the recording {path.name!a} is not a text in UTF-8",
             "rename the file",
         ) from fault
     data = map_mcap_file(path)

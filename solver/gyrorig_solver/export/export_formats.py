@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from gyrorig_protocol.errors import UsageError
-from gyrorig_solver.apply.correction import Correction
+from gyrorig_solver.apply import Correction
 from gyrorig_solver.calibration import calibration_as_mapping
 from gyrorig_solver.export.c_header import c_header
 from gyrorig_solver.export.export_source import ExportSource
@@ -86,10 +86,10 @@ def _terms_left_out(correction: Correction) -> list[str]:
     terms = {
         "the change of the bias with the temperature": correction.bias_curve is not None,
         "the change of the scale factor with the temperature": correction.scale_curve is not None,
-        "scale_quadratic": correction.quadratic.any(),
-        "scale_cubic": correction.cubic.any(),
-        "scale_asymmetry": correction.asymmetry.any(),
-        "g_sensitivity": correction.needs_force,
+        "the error by the square of the rate": correction.quadratic.any(),
+        "the error by the cube of the rate": correction.cubic.any(),
+        "the asymmetry of the scale factor": correction.asymmetry.any(),
+        "the sensitivity to acceleration": correction.needs_force,
     }
     left_out = [
         f"{term} is not applied, because the formula has a constant bias and gain"

@@ -206,6 +206,7 @@ class Term(ABC):
     is_whole_steps: bool = False  # its size is at least one step
     nameless_description: str = ""  # if given, it is reported as unexplained, not as a cause
     is_noise_process: bool = False  # the noise model contains it
+    similar_in_draws: str = ""  # of a random cause: effects that scatter like its draws
     unseen_places: tuple[str, ...] = ()  # no motion shows it there: the gain absorbs it
     is_persistent: bool = False  # a property of the unit: its sizes are kept for later recordings
     depends_on_temperature: bool = False  # its temperature is relative to the recordings' mean

@@ -6,26 +6,19 @@ errors of a simulation; `gain_text` for the gain on new recordings.
 
 import math
 from collections.abc import Sequence
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 
 from gyrorig_protocol.twin import Scalar, Twin
 from gyrorig_solver.model import cause_display_unit, cause_equation, format_quantity, plural
+from gyrorig_solver.model.catalogue import catalogue
 from gyrorig_solver.twin_check.feature_comparison import FamilyComparison
 from gyrorig_solver.twin_check.recording_check import BoardCheck, StageCheck
 from gyrorig_solver.twin_check.twin_folder_check import TwinCheck
 
 TWIN_ALONE = "twin without its causes"
 MAX_SHOWN_EFFECTS = 3  # of those without a known cause; the JSON output lists all
-# Effects that a random cause can be named for, and whose size then scatters like the measurement.
-SIMILAR_EFFECTS = MappingProxyType(
-    {
-        "bias_random_walk": "any other slow change of the bias",
-        "sample_jitter": "any other noise that is larger during acceleration",
-    }
-)
 EXPLAINABLE_SHARE = 0.2  # rms in units of the noise; below it, a share is not informative
 FALSE_ALARM = 0.01  # probability for one board in one recording, all statistics together
 
@@ -240,13 +233,18 @@ def random_cause_text(twin: Twin, board: str) -> str:
     differ from each other as much as from the measurement.
     """
     texts = [
-        f"{cause.cause} ({cause.where}): the check cannot see {SIMILAR_EFFECTS[cause.cause]}"
+        f"{cause.cause} ({cause.where}): the check cannot see {similar}"
         for cause in twin.causes
-        if cause.cause in SIMILAR_EFFECTS and cause.board in (None, board)
+        if cause.board in (None, board) and (similar := _similar_in_draws(cause.cause))
     ]
     if not texts:
         return ""
     return f"The draws of the twin differ by the random cause {'; and '.join(texts)}."
+
+
+def _similar_in_draws(cause: str) -> str:
+    term = catalogue().get(cause)
+    return "" if term is None else term.similar_in_draws
 
 
 def lack_texts(twin: Twin, board: str) -> list[str]:

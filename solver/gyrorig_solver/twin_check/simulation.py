@@ -109,7 +109,7 @@ def run_draws(
         finally:
             for future in pending:
                 future.cancel()
-    return [sorted(own, key=lambda run: run.draw) for own in runs]
+    return [sorted(of_one, key=lambda run: run.draw) for of_one in runs]
 
 
 def split_draws(draws: range, count: int, is_twin: bool) -> list[range]:

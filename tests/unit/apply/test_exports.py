@@ -371,8 +371,8 @@ def test_json_lists_what_its_formula_leaves_out(document: DocumentFactory) -> No
     assert "change of the bias with the temperature" in left_out(document(parameters=WARM))
     bent = {"scale_cubic": {"value": [1e-4] * 3, "std": [0.0] * 3, "unit": "s^2/rad^2"}}
     force = {"g_sensitivity": {"value": [1e-4] * 9, "std": [0.0] * 9, "unit": "rad/s/(m/s^2)"}}
-    assert "scale_cubic is not applied" in left_out(document(parameters=bent))
-    assert "g_sensitivity is not applied" in left_out(document(parameters=force))
+    assert "the cube of the rate is not applied" in left_out(document(parameters=bent))
+    assert "the sensitivity to acceleration is not applied" in left_out(document(parameters=force))
 
 
 def test_the_comment_of_the_c_code_has_the_formula_of_its_frame(document: DocumentFactory) -> None:

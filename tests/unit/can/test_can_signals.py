@@ -205,7 +205,7 @@ def test_a_sample_without_its_time_is_a_gap() -> None:
         if number != 3:
             events += parser.feed(CanFrame(101, struct.pack("<IbbH", 100 * number, 0, 0, 0)))
         events += parser.feed(CanFrame(100, struct.pack("<3hH", 1, 2, 3, number)))
-    found = samples(events)
-    assert [sample.device_time for sample in found] == [0, 100, 200, 400, 500]
-    assert [sample.sequence for sample in found] == [0, 1, 2, 4, 5]
+    complete = samples(events)
+    assert [sample.device_time for sample in complete] == [0, 100, 200, 400, 500]
+    assert [sample.sequence for sample in complete] == [0, 1, 2, 4, 5]
     assert parser.faults[FaultCause.CONTENT] == 1

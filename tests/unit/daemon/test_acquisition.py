@@ -543,7 +543,7 @@ def test_bytes_before_and_after_a_loss_do_not_make_one_line() -> None:
     deliver(b"45,7,8\n11,12,13\n")
     for report in parser.feed(os.read(reports, PIPE_BYTES)):
         hub._store_report(report, chunks)
-    kept = [chunk for chunk in chunks if chunk.data or chunk.is_after_loss]
-    assert [chunk.is_after_loss for chunk in kept] == [False, True, False]
-    assert kept[2].data.startswith(b"45,7,8")
+    delivered = [chunk for chunk in chunks if chunk.data or chunk.is_after_loss]
+    assert [chunk.is_after_loss for chunk in delivered] == [False, True, False]
+    assert delivered[2].data.startswith(b"45,7,8")
     assert hub.dropped_bytes == 13

@@ -57,9 +57,9 @@ def test_the_size_of_a_wave_is_its_amplitude() -> None:
     }
     evidence = Statistics(100.0, 4, 1e-9, "pan")
     cause = CauseEntry("eccentricity", "ptu", "pan", parameters, evidence, None)
-    found = re.fullmatch(r"amplitude (\S+) ± (\S+) deg", main_size_text(cause))
-    assert found is not None
-    amplitude_deg, std_deg = map(float, found.groups())
+    match = re.fullmatch(r"amplitude (\S+) ± (\S+) deg", main_size_text(cause))
+    assert match is not None
+    amplitude_deg, std_deg = map(float, match.groups())
     assert amplitude_deg == pytest.approx(np.degrees(5e-3), rel=0.05)
     for correlation in (-0.99, 0.0, 0.99):
         shared = correlation * 1e-6

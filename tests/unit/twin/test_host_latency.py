@@ -76,15 +76,15 @@ def test_the_floor_is_below_the_shortest_exchange(write_jitter_s: float, count: 
     """Against drawn exchanges: without the bias, floor and jitter are right on average."""
     rng = np.random.default_rng(3)
     jitter_s, floors_s = 3e-4, 1.1e-4
-    found = []
+    estimates = []
     for _ in range(2000):
         latency_s = rng.exponential(jitter_s, count) + rng.exponential(write_jitter_s, count)
         shortest_s = float(latency_s.min())
         excess_s = float(latency_s.mean()) - shortest_s
         floor = HostFloor((floors_s + shortest_s) / 2.0, 3e-5, excess_s, 2e-5, count)
         right = floor.without_bias(jitter_s)
-        found.append((2.0 * right.floor_s, right.excess_s - jitter_s, shortest_s))
-    floor_s, write_s, bias_s = np.mean(found, axis=0)
+        estimates.append((2.0 * right.floor_s, right.excess_s - jitter_s, shortest_s))
+    floor_s, write_s, bias_s = np.mean(estimates, axis=0)
     assert abs(floor_s - floors_s) < 0.2 * bias_s
     assert write_s == pytest.approx(write_jitter_s, rel=0.05)
 

@@ -38,6 +38,7 @@ class BiasRandomWalk(ZeroMeanTerm):
     covariates = None
     picture = BinnedDependence("mean", "time")
     is_noise_process = True
+    similar_in_draws = "any other slow change of the bias"
     excitation = "a static recording of at least ten minutes"
     effect_if_ignored = "the stated bias is valid for minutes only"
 

@@ -29,6 +29,7 @@ class SampleJitter(ZeroMeanTerm):
     remedy = "timestamp the samples in the board's data-ready interrupt"
     covariates = None
     picture = None
+    similar_in_draws = "any other noise that is larger during acceleration"
     excitation = "long accelerations next to rests, with timestamps from the board"
     effect_if_ignored = (
         "the uncertainties are too small, because the fit gives accelerations too much weight"
