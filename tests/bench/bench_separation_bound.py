@@ -68,6 +68,7 @@ from gyrorig_solver.plan.unit_model import UnitModel  # noqa: E402
 SPEED_SHARES = (0.8, 0.4, 0.15, 0.05)  # between those of the product's blocks
 TILTS = 5
 LONGEST_SWEEP_S = 5.0
+FASTEST_DEG_S = 225.0  # 90 % of the full scale of the emulated gyroscope, as in the planner
 RANDOM_SHARES = (1.0, 0.8, 0.55, 0.4, 0.25, 0.1)
 STEPS = (0.5, 0.25, 0.12, 0.06, 0.03, 0.015, 0.007)  # of a line search
 SMALL = 1e-3  # of a numeric derivative
@@ -162,7 +163,7 @@ class Session:
 
     def motions(self, pair: CausePair, random_count: int) -> list[Motion]:
         """Return all motions that the unit can do."""
-        space = MotionSpace.of(self._unit, 225.0)
+        space = MotionSpace.of(self._unit, FASTEST_DEG_S)
         alone_s = self._duration_s(MotionProgram("empty", (_static(), _static())))
         motions = []
         for block in (*motion_blocks(space), *other_blocks(space, random_count)):
@@ -191,7 +192,9 @@ class Session:
         self, pair: CausePair, first_order: FirstOrder, trials: int
     ) -> tuple[float, float]:
         """Return the outlook of the best program after random changes of the proposed one."""
-        blocks = [b for b in motion_blocks(MotionSpace.of(self._unit, 225.0)) if not b.is_rest]
+        blocks = [
+            b for b in motion_blocks(MotionSpace.of(self._unit, FASTEST_DEG_S)) if not b.is_rest
+        ]
         best = first_order.outlook(self._products(pair, self._proposed))
         chosen = self._split(self._proposed.steps[1:-1], blocks)
         for _ in range(trials):

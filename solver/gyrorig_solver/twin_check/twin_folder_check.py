@@ -66,9 +66,10 @@ def check_twin_folder(
     checks: list[BoardCheck] = []
     failed: list[tuple[str, GyrorigError]] = []
     other_draws = max(MIN_OTHER_DRAWS, draws // SHARE_OF_OTHERS)
-    # Without causes, the simulation of a twin without causes has no runs.
-    counts = [other_draws, other_draws if twin.causes else -1, draws]
-    total = len(recordings) * sum(count + 1 for count in counts)
+    others = range(other_draws + 1)
+    # If the twin has no causes, the twin without its causes is the same, and is not simulated.
+    draws_by_simulator = [others, others if twin.causes else range(0), range(draws + 1)]
+    total = len(recordings) * sum(map(len, draws_by_simulator))
     finished = 0
 
     def count_run() -> None:
@@ -92,7 +93,7 @@ def check_twin_folder(
                 check_has_unit(recording)
                 boards = _boards(twin, recording, board)
                 runs = run_draws(
-                    [(s, range(n + 1)) for s, n in zip(simulators, counts, strict=True)],
+                    list(zip(simulators, draws_by_simulator, strict=True)),
                     recording,
                     scratch / str(number),
                     count_run,
