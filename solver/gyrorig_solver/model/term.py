@@ -196,6 +196,7 @@ class Term(ABC):
     depends_on_upstream: bool = False  # its effect changes with small changes before it
     ignores_clipping: bool = False  # its derivatives ignore the clipping of the rate
     derivative_step: float = DERIVATIVE_STEP  # larger if the effect changes in steps
+    # Special cases of the search.
     template_search: TemplateSearch = "grid"
     holds_shapes: bool = False  # a fit is not smooth in the shapes: they are found like an event
     equivalent_causes: tuple[str, ...] = ()  # the same function on one of its axes

@@ -206,6 +206,7 @@ SENSOR = '{"who":211,"fs":250,"lsb":0.00875}'
         GOOD % SENSOR.replace("250", "-250"),
         GOOD % SENSOR.replace("250", "NaN"),
         GOOD % SENSOR.replace("250", "1e999"),
+        GOOD % SENSOR.replace("250", "1e-310"),
         GOOD % SENSOR.replace("250", '"250"'),
         GOOD % SENSOR.replace("250", "9" * 100),
         GOOD % SENSOR.replace("211", "-1"),

@@ -55,6 +55,13 @@ def test_a_json_line_is_a_sample() -> None:
     assert samples_of(json_board(), GOOD) == [SAMPLE]
 
 
+def test_a_json_line_without_its_time_is_a_gap() -> None:
+    """Its time would be recorded as 0; a board that never sends a time is accepted."""
+    untimed = GOOD.replace(b'"t": 1000, ', b"")
+    assert samples_of(json_board(), GOOD + untimed + GOOD) == [SAMPLE, SAMPLE]
+    assert [sample.device_time for sample in samples_of(json_board(), untimed * 2)] == [None, None]
+
+
 def test_the_first_line_after_opening_is_dropped() -> None:
     parser = find_serial_protocol("json").make_parser(json_board())
     assert parser.feed(b', "gyro": [1, 2, 3]}\n', 0) == []

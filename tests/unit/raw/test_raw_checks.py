@@ -154,6 +154,16 @@ def test_an_axis_without_any_change_is_stuck() -> None:
     assert (finding.cause, finding.where, finding.share) == ("stuck_axis", ("y",), 1.0)
 
 
+@pytest.mark.parametrize("dead", [1, 2])
+def test_an_axis_sticks_beside_a_dead_one(dead: int) -> None:
+    counts = clean_counts().copy()
+    counts[4000:9000, 0] = counts[4000, 0]
+    counts[:, dead] = 17
+    findings = [f for result in check_stream(samples_of(counts)) for f in result.findings]
+    stuck = {finding.where for finding in findings if finding.cause == "stuck_axis"}
+    assert stuck == {("x",), ("xyz"[dead],)}
+
+
 def test_missing_numbers_are_counted() -> None:
     keep = np.setdiff1d(np.arange(N), np.r_[3000:3004, 7000:7003])
     findings = findings_in(samples_of(clean_counts()[keep], keep))
