@@ -11,6 +11,7 @@ block set how the test treats it:
     <!-- test: in clone -->          run it in one of `PLACES`; without a mark, an empty folder
     <!-- test: after COMMAND -->     run this command first; several commands run in their order
     <!-- test: output -->            before a ```text block: the output of the block above it
+    <!-- test: output within 9 -->   its numbers may differ by 9 units of their last digits
 
 tests/unit/output/test_docs.py looks up all commands in the help of the programs.
 """
@@ -26,6 +27,7 @@ _BLOCK = re.compile(
     rf"(?P<marks>(?:^{_MARK})*)^```(?P<kind>[\w-]*)[^\n]*\n(?P<body>.*?)^```",
     re.MULTILINE | re.DOTALL,
 )
+_OUTPUT_MARK = re.compile(r"output(?: within (?P<last_digits>[1-9]\d?))?")
 # Command lines in a block that the test does not run
 _COMMAND_LINE = re.compile(
     r"^(\$ )?(sudo )?(gyrorigd?|make|pip|python3?|git|openssl|dask|ssh|systemctl) [-\w]",
@@ -67,6 +69,7 @@ class Block:
     place: str = ""  # "" is an empty folder
     before: tuple[str, ...] = ()  # commands that run first
     output: str | None = None  # the output of the commands according to the page
+    last_digits: int = 1  # by which a number of the output may differ
 
     @property
     def where(self) -> str:
@@ -94,10 +97,11 @@ def blocks(page: Path) -> Iterator[Block]:
     for match in _BLOCK.finditer(text):
         line = text.count("\n", 0, match.start("body")) + 1
         marks = re.findall(_MARK, match["marks"])
-        if marks == ["output"]:
+        if len(marks) == 1 and (permitted := _OUTPUT_MARK.fullmatch(marks[0])):
             if pending is None or pending.kind != "sh" or pending.output is not None:
                 raise DocumentError(f"{page.name}:{line}: output follows a block of commands")
-            pending = replace(pending, output=match["body"])
+            last_digits = int(permitted["last_digits"] or 1)
+            pending = replace(pending, output=match["body"], last_digits=last_digits)
             continue
         if pending is not None:
             yield pending

@@ -129,7 +129,9 @@ class Reader:
             ) from None
         if process.returncode:
             raise _exit_error(block, process.returncode, process.stderr or process.stdout)
-        if block.output is not None and (fault := first_difference(block.output, process.stdout)):
+        if block.output is None:
+            return
+        if fault := first_difference(block.output, process.stdout, block.last_digits):
             raise DocumentError(f"{block.where}: {fault}")
 
     def _start_server(self, block: Block, place: Place) -> None:

@@ -43,6 +43,9 @@ AXIS_STD_RAD = float(np.radians(1.0))
 # instability of a consumer part over minutes (data sheets: 3 to 10 deg/h and more).
 MIN_BIAS_STD_RAD_S = float(np.radians(0.003))
 MAX_ITERATIONS = 4
+# Between two usable samples of a turn, or from its ends to the nearest one: the integral is a
+# straight line there.
+MAX_GAP_S, MAX_GAP_PERIODS = 0.1, 3.0
 REASON_TEXTS = {
     "x": "the recordings have no turn about the x axis of the reference; add one",
     "y": "the recordings have no turn about the y axis of the reference; add one",
@@ -162,6 +165,16 @@ def _integrate(recording: int, samples: GyroSamples, turn: KnownTurn) -> _Integr
             "check the board's supply and cable, and record the turn again",
         )
     time_s, rate = samples.time_s[index], samples.rate_rad_s[index]
+    bounds_s = np.concatenate([[turn.interval.begin_s], time_s, [turn.interval.end_s]])
+    longest_gap_s = float(np.diff(bounds_s).max())
+    if longest_gap_s > max(MAX_GAP_S, MAX_GAP_PERIODS * samples.period_s):
+        raise InputError(
+            f"the turn at {turn.interval.begin_s:.1f} s has no usable sample for "
+            f"{longest_gap_s:.2g} s, because samples are lost or at full scale, so its total angle "
+            "is not known",
+            "turn more slowly or use a larger full scale, and record the turn again, or remove it "
+            "from the import map",
+        )
     # Half a period is added at both ends, because n samples represent n periods.
     integral = np.trapezoid(rate, time_s, axis=0) + 0.5 * samples.period_s * (rate[0] + rate[-1])
     return _IntegratedTurn(

@@ -78,6 +78,19 @@ class BoardData:
         )
 
     @cached_property
+    def usable_samples(self) -> tuple[GyroSamples, ...]:
+        """The samples of each recording; exact repeats and clipped ones are not usable.
+
+        Raises:
+            UsageError: the board's settings differ between recordings, or a recording is given
+                twice.
+        """
+        check_given_once(self.recordings)
+        usable = tuple(without_clipping(without_repeats(samples)) for samples in self.samples)
+        _check_same_settings(self.recordings, usable)
+        return usable
+
+    @cached_property
     def sessions(self) -> tuple[Session, ...]:
         """Each recording with its samples and its reference motion.
 
@@ -89,12 +102,9 @@ class BoardData:
         """
         if self.changed_sessions is not None:
             return self.changed_sessions
-        usable = tuple(without_clipping(without_repeats(samples)) for samples in self.samples)
-        check_given_once(self.recordings)
-        _check_same_settings(self.recordings, usable)
         return tuple(
             (recording, samples, reference_motion(recording, samples))
-            for recording, samples in zip(self.recordings, usable, strict=True)
+            for recording, samples in zip(self.recordings, self.usable_samples, strict=True)
         )
 
 

@@ -233,7 +233,11 @@ def rebuild_report_data(
 def _requested_causes(calibration: CalibrationDocument) -> tuple[str, ...]:
     """Return the requested causes: those whose settings have the document's digest."""
     causes = tuple(t for t in calibration.solver.terms if t in catalogue())
-    for extend in ((), (AUTO,), *(causes[:k] for k in range(1, len(causes) + 1))):
+    # Known causes are part of every fit at a known site; requested ones follow those of a search.
+    effects = tuple(cause for cause in causes if catalogue()[cause].kind != "known")
+    lists = [named[:k] for named in (causes, effects) for k in range(1, len(named) + 1)]
+    searches = [(AUTO, *effects[k:]) for k in range(len(effects))]
+    for extend in ((), (AUTO,), *lists, *searches):
         if settings_sha256(likelihood_settings(extend)) == calibration.solver.config_sha256:
             return extend
     raise InputError(

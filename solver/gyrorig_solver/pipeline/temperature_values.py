@@ -128,6 +128,8 @@ def _columns(
 
 def _calibration_row(document: CalibrationDocument, name: str) -> dict[str, float]:
     degc = document.quality.mean_temperature_degc
+    if document.temperature is not None:  # the bias is that at the reference of the curve
+        degc = document.temperature.reference_degc
     if document.validity.temperature_degc is None or degc is None:
         raise InputError(
             f"the calibration {name} has no temperature in degrees Celsius",

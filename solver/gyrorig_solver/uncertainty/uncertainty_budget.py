@@ -354,6 +354,8 @@ def _joint_statistics(
     if sum(cause.signal_count for cause in causes) <= max_signals:
         return projector.score_statistics(whitened_effects(projector, causes))
     batches = _batches(causes, max(1, max_signals // 2))
+    if len(batches) == 1:  # one cause, which needs more memory than the limit
+        return projector.score_statistics(whitened_effects(projector, causes))
     stops = np.cumsum([sum(cause.signal_count for cause in batch) for batch in batches])
     rows = [np.arange(a, b) for a, b in zip([0, *stops[:-1]], stops, strict=True)]
     count = int(stops[-1])

@@ -32,7 +32,8 @@ class GravityKind(ReferenceKind):
                 "recording",
                 "run `gyrorig solve` once for each recording",
             )
-        (recording,), (samples,), (known_turns,) = data.recordings, data.samples, data.known_turns
+        (recording,), (samples,) = data.recordings, data.usable_samples
+        (known_turns,) = data.known_turns
         site = recording.metadata.get("gyrorig.site", {})
         gravity = positive_number(site, "gravity_m_s2") or STANDARD_GRAVITY_M_S2
         return fit_gravity(samples, gravity, known_turns.rests[0] if known_turns.rests else None)

@@ -18,6 +18,11 @@ from gyrorig_solver.pipeline.rest_temperature import (
 )
 from gyrorig_solver.reference import ReferenceMotion, RestReference, mostly_at_rest, read_turns
 
+NOT_TESTED_REMARK = (
+    "the causes were not tested on {}, because the bias follows the temperature, and its curve is "
+    "of the other recordings"
+)
+
 
 class RestKind(MotionKind):
     """Phases at rest over nine tenths of each recording."""
@@ -77,7 +82,7 @@ class RestKind(MotionKind):
             warnings = self.fit(data).warnings
         else:
             explanation = curve.explained(super().explain(curve.removed_from(data), None))
-            warnings = ()
+            warnings = () if held_out is None else (NOT_TESTED_REMARK.format(held_out.path.name),)
         return replace(explanation, remarks=(*explanation.remarks, *data.missing, *warnings))
 
 
