@@ -52,3 +52,10 @@ def test_a_page_attaches_output_to_the_commands_above(tmp_path: Path) -> None:
     page.write_text("<!-- test: output -->\n```text\na\n```\n", encoding="utf-8")
     with pytest.raises(DocumentError, match="output follows"):
         list(blocks(page))
+
+
+def test_a_page_can_permit_more_units_of_the_last_digit() -> None:
+    page, printed = "scale.y +0.9920 -0.12 u", "scale.y +0.9921 -0.09 u"
+    assert first_difference(page, printed)
+    assert not first_difference(page, printed, last_digits=3)
+    assert first_difference(page, printed, last_digits=2)

@@ -181,9 +181,23 @@ def test_a_payload_of_wrong_length_is_never_accepted(frame: Any, cut: int) -> No
     payload = frame.encode_payload()
     for damaged in (payload[: max(len(payload) - cut, 0)], payload + b"\1" * cut):
         decoded = decode_payload(damaged)
-        # A request is a HELLO without JSON; a batch may be cut into no other batch, because
-        # its count is in its head.
+        if isinstance(frame, Batch) and isinstance(decoded, Batch):
+            # The count is in the head, so that no other number of samples fits. The length alone
+            # states whether a batch has accelerations. The checksum of the frame protects it.
+            assert cut == 6 * len(frame.gyro) == 6 * len(decoded.gyro)
+            assert (frame.accel is None) != (decoded.accel is None)
+            continue
+        # A request is a HELLO without JSON.
         assert isinstance(decoded, FaultCause) or decoded == HelloRequest()
+
+
+def test_the_length_of_a_batch_states_whether_it_has_accelerations() -> None:
+    still = (0, 0, 0)
+    batch = Batch(0, 0, 0, (still,) * 4, None, 0)
+    decoded = decode_payload(batch.encode_payload() + b"\1" * 24)
+    assert isinstance(decoded, Batch)
+    assert len(decoded.gyro) == 4
+    assert decoded.accel is not None
 
 
 @given(kind=st.sampled_from([0x10, 0x30, 0x31]), text=st.text(max_size=100) | st.binary())
