@@ -165,7 +165,7 @@ def _retry_hint(part: Path) -> str:
 def _recovered_report(original: Path, final: Path) -> RecoveryReport:
     metadata = read_file_metadata(final)[RECOVERED_RECORD]
     messages, lost = int(metadata["messages"]), int(metadata["lost_bytes"])
-    text = f"{final.name}: {messages} messages recovered; {lost} damaged bytes at its end are lost"
+    text = f"{final.name}: {messages} messages recovered; {lost} damaged bytes are lost"
     return RecoveryReport(original, RecoveryOutcome.RECOVERED, final, messages, lost, text)
 
 

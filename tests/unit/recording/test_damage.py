@@ -249,6 +249,18 @@ def test_zeros_after_a_power_cut(tmp_path: Path, script: Any) -> None:
     assert sum(loss.bytes for loss in actual.losses) == 5000
 
 
+def test_a_second_recording_in_the_same_file_is_reported(tmp_path: Path, script: Any) -> None:
+    path = script.write(tmp_path / "a.mcap")
+    first = contents(read_recording(path))
+    whole = path.read_bytes()
+    actual = read_bytes(tmp_path, whole + whole)
+    assert isinstance(actual, Recording)
+    assert contents(actual) == first
+    assert actual.lost_messages is None
+    assert [loss.cause for loss in actual.losses] == [LossCause.DAMAGED]
+    assert "further chunks" in actual.losses[0].text
+
+
 def test_changed_metadata_is_restored_from_its_copy(tmp_path: Path, script: Any) -> None:
     intact = script.write(tmp_path / "a.mcap").read_bytes()
     actual = read_bytes(tmp_path, intact.replace(b"0.000153", b"0.000152", 1))

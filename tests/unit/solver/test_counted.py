@@ -186,3 +186,18 @@ def samples_of(time_s: np.ndarray, rate_rad_s: np.ndarray) -> GyroSamples:
         repeated=0,
         late=0,
     )
+
+
+@pytest.mark.parametrize("gap_s", [3600.0, 1e8])
+def test_a_unit_that_moved_in_a_long_gap_of_the_replies_is_unknown(gap_s: float) -> None:
+    """The effort of the spline does not grow with the gap."""
+    at_s = np.linspace(0.0, 3.98, 200)
+    steps = np.zeros((200, 2))
+    steps[50:100, 0] = np.arange(50) * 10
+    steps[100:, 0] = 490
+    at_s[150:] += gap_s
+    steps[150:, 0] += 3
+    polls = UnitPolls(at_s, at_s + 0.004, steps, np.ones((200, 2), dtype=bool))
+    reference = counted_reference(polls, (1e-3, 1e-3), "no orders")
+    assert len(reference.segments) == 1
+    assert reference.unknown_spans[-1][1] == np.inf

@@ -126,7 +126,7 @@ def scan_records(data: memoryview, summary: McapSummary) -> FileScan:
             offset = end
         except MalformedError as error:
             offset = _skip_damage(scan, data, offset, end, limit, str(error))
-    _report_end(scan, summary, offset, len(data))
+    _report_end(scan, data, summary, offset)
     if scan.unchunked_messages:
         text = (
             f"{scan.unchunked_messages} messages outside chunks have no checksum and are not read"
@@ -283,12 +283,19 @@ def _find_landmark(scan: FileScan, data: memoryview, start: int, limit: int) -> 
     return limit
 
 
-def _report_end(scan: FileScan, summary: McapSummary, offset: int, size: int) -> None:
+def _report_end(scan: FileScan, data: memoryview, summary: McapSummary, offset: int) -> None:
+    size = len(data)
     if summary.is_valid:
         if offset < summary.start_offset:
             unused_bytes = summary.start_offset - offset
             text = f"{unused_bytes} bytes between the data and the summary are unusable"
             scan.losses.append(Loss(LossCause.DAMAGED, offset, unused_bytes, 0, text))
+    elif scan.has_data_end and _find_landmark(scan, data, offset, size) < size:
+        text = (
+            f"{size - offset} bytes after the end of the data are not read, because they contain "
+            "further chunks, for example of another recording"
+        )
+        scan.losses.append(Loss(LossCause.DAMAGED, offset, size - offset, None, text))
     elif scan.has_data_end:
         text = f"the summary at the end is damaged or cut ({summary.fault}); it has no messages"
         scan.losses.append(Loss(LossCause.SUMMARY, offset, size - offset, 0, text))

@@ -26,6 +26,7 @@ from gyrorig_solver.reference.unit.spline_segment import (
     SplineSegment,
     find_moving_spans,
     fit_segment,
+    interval_count,
 )
 from gyrorig_solver.reference.unit.stage_kinematics import StageRateJacobian
 
@@ -232,6 +233,12 @@ def counted_reference(
             longest_s = float(np.max(np.diff(time_s[inside]), initial=0.0))
             if longest_s > MAX_POLL_GAP_S:
                 unknown_spans.append((begin_s, end_s, "the unit did not reply during a move"))
+            # Before the fit: its effort grows with the span, which can contain a gap of hours.
+            intervals = interval_count((begin_s, end_s), time_s[inside])
+            if intervals + 3 - 2 * REST_COEFFICIENTS > coefficients_left:
+                explanation = "the motion is too long for a fit without commands"
+                unknown_spans.append((begin_s, np.inf, explanation))
+                break
             segment = fit_segment(
                 axis,
                 (begin_s, end_s),
@@ -240,10 +247,6 @@ def counted_reference(
                 steps[inside],
                 spread[inside],
             )
-            if segment.inner_count > coefficients_left:
-                explanation = "the motion is too long for a fit without commands"
-                unknown_spans.append((begin_s, np.inf, explanation))
-                break
             coefficients_left -= segment.inner_count
             segments.append(segment)
             counts.append(after)

@@ -112,9 +112,9 @@ def fit_segment(
         steps: the counts.
         spread_s: standard deviation of each sampling time.
     """
-    poll_spacing_s = float(np.median(np.diff(at_s))) if at_s.size > 1 else KNOT_SPACING_RANGE_S[1]
-    knot_spacing_s = float(np.clip(POLLS_PER_KNOT * poll_spacing_s, *KNOT_SPACING_RANGE_S))
-    intervals = max(2 * REST_COEFFICIENTS, int(np.ceil((span_s[1] - span_s[0]) / knot_spacing_s)))
+    poll_spacing_s = _poll_spacing_s(at_s)
+    knot_spacing_s = _knot_spacing_s(at_s)
+    intervals = interval_count(span_s, at_s)
     values, first = _basis((at_s - span_s[0]) / knot_spacing_s, intervals)
     speed = _speeds(at_s, steps)
     share = np.clip(np.abs(speed) * poll_spacing_s, MIN_COUNT_SHARE, 1.0)
@@ -162,6 +162,19 @@ def fit_segment(
     return SplineSegment(
         axis, span_s[0], knot_spacing_s, intervals, counts, total, information_vector
     )
+
+
+def interval_count(span_s: tuple[float, float], at_s: FloatArray) -> int:
+    """Return the number of intervals that `fit_segment` uses for a segment with these counts."""
+    return max(2 * REST_COEFFICIENTS, int(np.ceil((span_s[1] - span_s[0]) / _knot_spacing_s(at_s))))
+
+
+def _poll_spacing_s(at_s: FloatArray) -> float:
+    return float(np.median(np.diff(at_s))) if at_s.size > 1 else KNOT_SPACING_RANGE_S[1]
+
+
+def _knot_spacing_s(at_s: FloatArray) -> float:
+    return float(np.clip(POLLS_PER_KNOT * _poll_spacing_s(at_s), *KNOT_SPACING_RANGE_S))
 
 
 def _unknown_of(column: IntArray, intervals: int) -> IntArray:
