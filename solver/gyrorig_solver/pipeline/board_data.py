@@ -78,17 +78,14 @@ class BoardData:
         )
 
     @cached_property
-    def usable_samples(self) -> tuple[GyroSamples, ...]:
-        """The samples of each recording; exact repeats and clipped ones are not usable.
+    def unclipped_samples(self) -> tuple[GyroSamples, ...]:
+        """The samples of each recording; clipped ones are not usable.
 
         Raises:
             UsageError: the board's settings differ between recordings, or a recording is given
                 twice.
         """
-        check_given_once(self.recordings)
-        usable = tuple(without_clipping(without_repeats(samples)) for samples in self.samples)
-        _check_same_settings(self.recordings, usable)
-        return usable
+        return self._check_recordings(tuple(map(without_clipping, self.samples)))
 
     @cached_property
     def sessions(self) -> tuple[Session, ...]:
@@ -102,10 +99,19 @@ class BoardData:
         """
         if self.changed_sessions is not None:
             return self.changed_sessions
+        usable = self._check_recordings(
+            tuple(without_clipping(without_repeats(samples)) for samples in self.samples)
+        )
         return tuple(
             (recording, samples, reference_motion(recording, samples))
-            for recording, samples in zip(self.recordings, self.usable_samples, strict=True)
+            for recording, samples in zip(self.recordings, usable, strict=True)
         )
+
+    def _check_recordings(self, samples: tuple[GyroSamples, ...]) -> tuple[GyroSamples, ...]:
+        """Return the samples if each recording is given once and all have the same settings."""
+        check_given_once(self.recordings)
+        _check_same_settings(self.recordings, samples)
+        return samples
 
 
 def load_board(

@@ -142,7 +142,7 @@ def load_attitude_recordings(data: BoardData) -> list[AttitudeRecording]:
     """
     loaded = [
         (recording, samples, None)
-        for recording, samples in zip(data.recordings, data.usable_samples, strict=True)
+        for recording, samples in zip(data.recordings, data.unclipped_samples, strict=True)
         if has_attitudes(recording)
     ]
     return [

@@ -32,7 +32,7 @@ class GravityKind(ReferenceKind):
                 "recording",
                 "run `gyrorig solve` once for each recording",
             )
-        (recording,), (samples,) = data.recordings, data.usable_samples
+        (recording,), (samples,) = data.recordings, data.unclipped_samples
         (known_turns,) = data.known_turns
         site = recording.metadata.get("gyrorig.site", {})
         gravity = positive_number(site, "gravity_m_s2") or STANDARD_GRAVITY_M_S2

@@ -22,7 +22,7 @@ class TurnKind(ReferenceKind):
     ) -> GyroFit:
         del named_terms
         refuse_causes(extend)
-        return fit_turns(list(zip(data.usable_samples, data.known_turns, strict=True)))
+        return fit_turns(list(zip(data.unclipped_samples, data.known_turns, strict=True)))
 
 
 KIND = TurnKind()
