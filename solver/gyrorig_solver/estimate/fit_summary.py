@@ -256,8 +256,8 @@ def _sample_warnings(samples: Sequence[GyroSamples]) -> list[str]:
         (repeated, "samples repeat the previous sample, and the solver did not use them"),
         (
             sum(int(np.sum(~recording_samples.usable)) for recording_samples in samples) - repeated,
-            "samples are saturated, and the solver did not use them; set a larger full scale or "
-            "turn more slowly",
+            "samples are saturated or near saturated ones, and the solver did not use them; set "
+            "a larger full scale or turn more slowly",
         ),
         (
             sum(recording_samples.late for recording_samples in samples),
