@@ -29,6 +29,7 @@ ZERO_S = 1.2  # of its times, since power-up
 # Half of the difference between the wire times of a reply and a request of time, 34 and 18 bytes at
 # 460 800 baud, and of the floors of the host, 60 and 50 us.
 LINK_DELAY_S = 0.5 * (16 * 10.0 / 460_800.0 + 60e-6 - 50e-6)
+UNIT_LAG_S = 0.5 * (50e-6 - 60e-6)  # the exchanges with the unit have the same latencies
 MIDDLE_S = 0.5 * (BEGIN_S + END_S)
 
 
@@ -39,7 +40,7 @@ class _Base:
         self.imu, self.rig = imu, rig
         self.gain, self.bias = imu.gain.copy(), imu.bias_rad_s.copy()
         lag_s = math.sqrt(2.0) / (2.0 * math.pi * imu.bandwidth_hz)
-        self.time_offset_s = imu.tau_s + lag_s + LINK_DELAY_S
+        self.time_offset_s = imu.tau_s + lag_s + LINK_DELAY_S + UNIT_LAG_S
         self.walk = imu.rate_random_walk
         self.values: dict[str, tuple[float, str]] = {}
         self.temperature = BoardTemperature(

@@ -220,6 +220,7 @@ def _axis_truth(unit: PtuSettings, sign: int, scale_error: float, hooks: AxisHoo
         acceleration_error=hooks.acceleration_error,
         base_speed_added_steps_s=hooks.base_speed_added_rad_s / step_rad,
         s_curve_s=hooks.s_curve_s,
+        start_delay_s=unit.start_delay_ms * 1e-3,
         slip=hooks.slip,
         step_effects=(*made_effects, *hooks.step_effects),
         angle_effects=tuple(hooks.angle_effects),

@@ -50,6 +50,7 @@ class PtuSettings:
     baud: int = 9600
     command_time_ms: float = 1.0  # 1, 10 or 20 (E-series), 100 (D-series by the vendor)
     sample_fraction: float = 0.5  # the count is read at this fraction of the command time
+    start_delay_ms: float = 0.0  # from the time at which a count would be read to the motion
     echo: bool = True
     verbose: bool = True
     leading_lf_on_cr: bool = True  # with echo off a reply to CR starts with LF

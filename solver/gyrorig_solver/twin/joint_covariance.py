@@ -4,9 +4,10 @@ The fits of two boards have only the causes of their unit in common. Given these
 independent: with K the regression of a board's values on the unit's, the covariance of two boards
 is K1 U K2', and that of one board S + K U K'. U is the covariance of the unit's values.
 
-The time offset of a board and the start delay of the unit share a constant error with opposite
-signs, because the data show only their sum. The covariance here is for the start delay as stated,
-so that a draw keeps the sum.
+The time offset of a board and the start delay of the unit share errors with opposite signs, because
+the data show their sum better than each. The largest of these errors is constant: when the unit
+reads its count within the time of an exchange. The covariance is without this error, because no
+recording shows it. It contains the scatter of the start delays, so that a draw keeps the sum.
 
 What to use when: `join_covariances`; `session_wander_rad_s` for the uncertainty of a bias.
 """
@@ -24,6 +25,7 @@ from gyrorig_solver.model import FACTOR_NAMES, GAIN_NAMES, GainFactors, factor_j
 from gyrorig_solver.pipeline import CriticisedFit
 from gyrorig_solver.twin.host_latency import median_derivatives
 from gyrorig_solver.twin.twin_causes import CollectedCauses
+from gyrorig_solver.twin.unit_measurement import MeasuredUnit
 
 MAX_NAMES = 400  # of the posterior in a document
 MIN_OFFSET_STD_S = 1e-7
@@ -51,13 +53,10 @@ class NamedCovariance:
 def join_covariances(
     fits: Mapping[str, CriticisedFit],
     collected: CollectedCauses,
-    unit: TwinUnit | None,
+    unit: MeasuredUnit | None,
     link: TwinLink,
 ) -> Posterior | None:
-    """Return the joint covariance of all boards, None if it is empty or too large.
-
-    It includes the start delay with a negligible variance, so that no draw changes it.
-    """
+    """Return the joint covariance of all boards, None if it is empty or too large."""
     boards = [board_covariance(name, criticised, collected) for name, criticised in fits.items()]
     shared = tuple(
         f"causes.{number}.{parameter}"
@@ -66,10 +65,9 @@ def join_covariances(
         for parameter in cause.parameters
     )
     joint = _join(boards, shared)
-    if joint.names and unit is not None and unit.start_delay is not None:
-        matrix = _block_diagonal(joint.matrix, np.array([[MIN_OFFSET_STD_S**2]]))
-        joint = NamedCovariance((*joint.names, START_DELAY), matrix)
-    latencies = latency_covariance(unit, link)
+    if joint.names and unit is not None and unit.section.start_delay is not None:
+        joint = _with_start_delay(joint, unit.start_scatter_s)
+    latencies = latency_covariance(None if unit is None else unit.section, link)
     if joint.names and latencies is not None:
         matrix = _block_diagonal(joint.matrix, latencies.matrix)
         joint = NamedCovariance((*joint.names, *latencies.names), matrix)
@@ -78,6 +76,17 @@ def join_covariances(
     # Equal rounding of both triangles keeps the matrix symmetric.
     rows = tuple(tuple(float(f"{v:.{DIGITS}g}") for v in row) for row in joint.matrix)
     return Posterior(joint.names, rows)
+
+
+def _with_start_delay(joint: NamedCovariance, scatter_s: float) -> NamedCovariance:
+    """Return the covariance with the start delay. All boards are earlier if the unit is later."""
+    size = len(joint.names)
+    signs = np.zeros(size + 1)
+    signs[:size] = [-1.0 if name.endswith(".time_offset") else 0.0 for name in joint.names]
+    signs[size] = 1.0
+    padded = _block_diagonal(joint.matrix, np.array([[MIN_OFFSET_STD_S**2]]))
+    matrix = padded + scatter_s**2 * np.outer(signs, signs)
+    return NamedCovariance((*joint.names, START_DELAY), matrix)
 
 
 def latency_covariance(unit: TwinUnit | None, link: TwinLink) -> NamedCovariance | None:

@@ -14,7 +14,7 @@ from typing import Any
 from gyrorig_protocol.documents import dump_yaml, finite_values
 from gyrorig_protocol.errors import InputError, MachineError, UsageError
 from gyrorig_protocol.recording.recording import Recording, in_order_of_time
-from gyrorig_protocol.twin import Twin, TwinRecording, TwinUnit, check_twin, twin_to_plain
+from gyrorig_protocol.twin import Twin, TwinRecording, check_twin, twin_to_plain
 from gyrorig_solver.data.utc_time import utc_text_now
 from gyrorig_solver.pipeline import BoardData, CriticisedFit, has_unit
 from gyrorig_solver.storage import write_file
@@ -23,7 +23,12 @@ from gyrorig_solver.twin.joint_covariance import join_covariances
 from gyrorig_solver.twin.link_measurement import MeasuredLink, measure_link
 from gyrorig_solver.twin.rig_mapping import build_rig_mapping
 from gyrorig_solver.twin.twin_causes import collect_causes
-from gyrorig_solver.twin.unit_measurement import UNIT_RECORD, first_move_s, measure_unit
+from gyrorig_solver.twin.unit_measurement import (
+    UNIT_RECORD,
+    MeasuredUnit,
+    first_move_s,
+    measure_unit,
+)
 
 TWIN_NAME = "twin.yaml"
 # Metadata that distinguish two rigs, by record.
@@ -96,7 +101,7 @@ def build_twin(boards: Mapping[str, BoardData], fits: Mapping[str, CriticisedFit
         created=utc_text_now(),
         software=installed_version("gyrorig"),
         recordings=tuple(_recording_entry(recording, boards) for recording in recordings),
-        unit=unit,
+        unit=None if unit is None else unit.section,
         link=link.section,
         boards={name: measure_board(data, fits[name]) for name, data in boards.items()},
         causes=tuple(collected.causes),
@@ -171,7 +176,7 @@ def _recording_entry(recording: Recording, boards: Mapping[str, BoardData]) -> T
 
 def _measure_unit(
     boards: Mapping[str, BoardData], fits: Mapping[str, CriticisedFit], link: MeasuredLink
-) -> TwinUnit | None:
+) -> MeasuredUnit | None:
     """Return the unit from the last recording that has one, None without a unit."""
     for name, data in boards.items():
         solution = fits[name].solution

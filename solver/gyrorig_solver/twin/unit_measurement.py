@@ -10,6 +10,7 @@ which its program begins.
 
 import math
 from collections.abc import Mapping
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -31,7 +32,15 @@ CRYSTAL_WALK_PER_SQRT_S = 1e-8  # of a crystal's rate (docs/clocks.md)
 MIN_POLLS = 2
 
 
-def measure_unit(recording: Recording, motion: ReferenceMotion, host: HostLatency) -> TwinUnit:
+@dataclass(frozen=True, slots=True)
+class MeasuredUnit:
+    """The section of a twin, and the part of the uncertainty that a draw changes."""
+
+    section: TwinUnit
+    start_scatter_s: float  # standard error of the start delay by the replies, without the constant
+
+
+def measure_unit(recording: Recording, motion: ReferenceMotion, host: HostLatency) -> MeasuredUnit:
     """Return the values of the unit from a recording.
 
     Args:
@@ -47,12 +56,14 @@ def measure_unit(recording: Recording, motion: ReferenceMotion, host: HostLatenc
         usual_s = width_s - host.exchange_s
         std_s = math.hypot(scatter_s, host.exchange_std_s)
         answer_time = scalar(max(usual_s, 0.0), std_s, "s")
-    return TwinUnit(
+    start_delay, start_scatter_s = _start_delay(motion, host)
+    section = TwinUnit(
         answer_time=answer_time,
-        start_delay=_start_delay(motion, host),
+        start_delay=start_delay,
         counter=_counter_clock(facts, ticks, earliest_s, latest_s),
         facts=_unit_facts(facts),
     )
+    return MeasuredUnit(section, start_scatter_s)
 
 
 def first_move_s(recording: Recording, origin_ns: int) -> float | None:
@@ -64,15 +75,16 @@ def first_move_s(recording: Recording, origin_ns: int) -> float | None:
     return float((times_ns(orders["request_time"])[is_move].min() - origin_ns) * 1e-9)
 
 
-def _start_delay(motion: ReferenceMotion, host: HostLatency) -> Scalar | None:
-    """Return the usual time from the last byte of a command until its move starts."""
-    if not isinstance(motion, PanTiltReference):
-        return None
-    delays_s = motion.start_delays_s
-    if not delays_s.size:
-        return None
-    delay_s = float(np.median(delays_s)) - host.write_s
-    return scalar(max(delay_s, 0.0), motion.common_shift_std_s, "s")
+def _start_delay(motion: ReferenceMotion, host: HostLatency) -> tuple[Scalar | None, float]:
+    """Return the usual time from the last byte of a command until its move starts.
+
+    The second value is its standard error by the replies, s.
+    """
+    if not isinstance(motion, PanTiltReference) or not motion.start_delays_s.size:
+        return None, 0.0
+    delay_s, scatter_s = _median(motion.start_delays_s)
+    std_s = math.hypot(motion.common_shift_std_s, scatter_s)
+    return scalar(max(delay_s - host.write_s, 0.0), std_s, "s"), scatter_s
 
 
 def _answer_windows(

@@ -134,6 +134,17 @@ def test_speed_change_on_the_fly_keeps_the_target() -> None:
     assert moved.target() == 100
 
 
+@pytest.mark.parametrize("delay_s", [0.25, -0.125])
+def test_the_motion_changes_a_delay_after_each_command(delay_s: float) -> None:
+    commands = (("move", 1.0, 1500.0, LAW), ("halt", 2.0, 0.0, LAW))
+    plain = axis()
+    late = StepperAxis(AxisTruth(185.142857, start_delay_s=delay_s), LAW)
+    for moved in (plain, late):
+        moved.replay(commands)
+    for time_s in (0.5, 1.1, 1.9, 2.1, 9.0):
+        assert late.state(time_s + delay_s) == pytest.approx(plain.state(time_s))
+
+
 def test_a_command_does_not_change_what_was() -> None:
     moved = axis()
     moved.move(0.0, 3000)

@@ -17,7 +17,7 @@ from gyrorig_daemon.emulator.injection import parse_injection
 from gyrorig_daemon.emulator.physics.host_latency import LatencyTruth
 from gyrorig_daemon.emulator.rig_truth import sample_rig_truth
 from gyrorig_daemon.emulator.twin import draw_twin, make_twin_rig
-from gyrorig_daemon.emulator.twin.twin_devices import link_delay_s
+from gyrorig_daemon.emulator.twin.twin_devices import link_delay_s, unit_lag_s
 from gyrorig_protocol.documents import dump_yaml
 from gyrorig_protocol.errors import UsageError
 from gyrorig_protocol.twin import Twin, check_twin, twin_to_plain
@@ -60,7 +60,8 @@ def test_devices_are_those_of_the_twin() -> None:
     made = make_twin_rig(twin_of(plain), SETTINGS)
     unit = made.settings.ptu
     assert unit is not None
-    assert (unit.command_time_ms, unit.sample_fraction) == (8.0, 0.25)
+    assert (unit.command_time_ms, unit.sample_fraction) == (8.0, 0.5)
+    assert unit.start_delay_ms == pytest.approx(-2.0)  # 2 ms instead of half of the answer time
     assert unit.resolution_arcsec == pytest.approx(92.571)
     assert (unit.pan_max_steps, unit.serial) == (6180, "X1")
     assert made.truth.controller_clock.skew == 3e-5
@@ -85,7 +86,8 @@ def test_early_samples_have_early_timestamps() -> None:
     lag_s = np.sqrt(2.0) / (2.0 * np.pi * board.imu.bandwidth_hz)
     assert board.imu.tau_s == 0.0
     link_s = link_delay_s(made.settings.boards[0], board, made.truth.latency)
-    assert board.stamp_early_s == pytest.approx(4e-3 + lag_s + link_s)
+    unit_s = unit_lag_s(made.truth.latency)
+    assert board.stamp_early_s == pytest.approx(4e-3 + lag_s + link_s + unit_s)
 
 
 def test_the_link_is_not_counted_twice_in_the_time_offset() -> None:

@@ -37,6 +37,7 @@ class AxisTruth:
     acceleration_error: float = 0.0  # true acceleration = commanded x (1 + error)
     base_speed_added_steps_s: float = 0.0  # true base speed = commanded + this
     s_curve_s: float = 0.0  # length of the window that averages the plan
+    start_delay_s: float = 0.0  # from a command to the change of the motion
     slip: StepLoss | None = None
     step_effects: tuple[StepEffect, ...] = ()  # between motor and gear
     angle_effects: tuple[AngleEffect, ...] = ()  # behind the gear
@@ -107,7 +108,8 @@ class StepperAxis:
         self.commands.append(("move", time_s, target_steps, law or self.law))
         self._move(time_s, target_steps, law or self.law)
 
-    def _move(self, time_s: float, target_steps: float, law: MotionLaw) -> None:
+    def _move(self, commanded_s: float, target_steps: float, law: MotionLaw) -> None:
+        time_s = commanded_s + self.truth.start_delay_s
         steps, speed = self._train.planned_state(time_s)
         segments = plan_motion(time_s, steps, speed, target_steps, self.truth.true_law(law))
         self._train.append(segments)
@@ -126,7 +128,7 @@ class StepperAxis:
     def halt(self, time_s: float) -> None:
         """Decelerate and stop at the next whole step."""
         self.commands.append(("halt", time_s, 0.0, self.law))
-        steps, speed = self._train.planned_state(time_s)
+        steps, speed = self._train.planned_state(time_s + self.truth.start_delay_s)
         if speed != 0.0:
             law = replace(self.law, speed_steps_s=abs(speed))
             self._move(time_s, halt_target(steps, speed, self.truth.true_law(law)), law)

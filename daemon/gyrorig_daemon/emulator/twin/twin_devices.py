@@ -58,7 +58,8 @@ def unit_settings(unit: TwinUnit | None, ptu: PtuSettings) -> PtuSettings:
     if unit is None:
         return ptu
     answer_s = max(_number(unit.answer_time, ptu.command_time_ms * 1e-3), 1e-6)
-    start_s = _number(unit.start_delay, answer_s * ptu.sample_fraction)
+    read_s = answer_s * ptu.sample_fraction
+    start_s = _number(unit.start_delay, read_s)
     facts = {
         name: value
         for name in UnitFacts.__struct_fields__
@@ -70,16 +71,15 @@ def unit_settings(unit: TwinUnit | None, ptu: PtuSettings) -> PtuSettings:
     return replace(
         ptu,
         command_time_ms=answer_s * 1e3,
-        sample_fraction=start_s / answer_s,  # `starting_earlier` limits it
+        start_delay_ms=(start_s - read_s) * 1e3,  # `starting_earlier` limits it
         **facts,
     )
 
 
 def starting_earlier(ptu: PtuSettings, start_delay_s: float) -> PtuSettings:
-    """Return a unit whose moves start earlier after a command, at most with the reply."""
-    answer_s = ptu.command_time_ms * 1e-3
-    fraction = ptu.sample_fraction - start_delay_s / answer_s
-    return replace(ptu, sample_fraction=min(max(fraction, 0.0), 1.0))
+    """Return a unit whose moves start earlier, at most with the last byte of their command."""
+    earliest_ms = -ptu.command_time_ms * ptu.sample_fraction
+    return replace(ptu, start_delay_ms=max(ptu.start_delay_ms - start_delay_s * 1e3, earliest_ms))
 
 
 def board_settings(board: TwinBoard, settings: BoardSettings) -> BoardSettings:
@@ -175,6 +175,16 @@ def link_delay_s(settings: BoardSettings, truth: BoardTruth, latency: LatencyTru
     reply_bytes = len(protocol.encode(TimeReply(1, 1, 1, 1), settings))
     difference_s = (reply_bytes - request_bytes) * byte_s
     return 0.5 * (difference_s + latency.floor_s - latency.write_floor_s)
+
+
+def unit_lag_s(latency: LatencyTruth) -> float:
+    """Return the part of a fitted time offset that the line of the unit causes.
+
+    A fit assumes that a count was read in the middle of the shortest time of an exchange. The error
+    is half the difference of the latency floors of reading and writing. If the fitted motion is
+    late by this time, the boards appear early by the same time.
+    """
+    return 0.5 * (latency.write_floor_s - latency.floor_s)
 
 
 def _temperature_curve(board: TwinBoard, zero_s: float) -> TemperatureCurve | None:

@@ -35,6 +35,7 @@ from gyrorig_daemon.emulator.twin.twin_devices import (
     link_delay_s,
     reference_rise_k,
     starting_earlier,
+    unit_lag_s,
     unit_settings,
     with_delay,
     without_turn,
@@ -112,9 +113,12 @@ def make_twin_rig(twin: Twin, settings: RigSettings, recording: str | None = Non
                 name: without_turn(board, part.stage_turn_rad)
                 for name, board in plain_boards.items()
             }
+    lag_s = 0.0
     if settings.ptu is not None:
-        start_delay_s = sum(part.start_delay_s for _, part in carried)
-        settings = replace(settings, ptu=starting_earlier(settings.ptu, start_delay_s))
+        lag_s = unit_lag_s(latency)
+        if twin.unit is not None and twin.unit.start_delay is not None:
+            start_delay_s = sum(part.start_delay_s for _, part in carried)
+            settings = replace(settings, ptu=starting_earlier(settings.ptu, start_delay_s))
     unit_clock = None if twin.unit is None else twin.unit.counter
     plain = replace(
         sampled,
@@ -122,7 +126,8 @@ def make_twin_rig(twin: Twin, settings: RigSettings, recording: str | None = Non
         latency=latency,
         boards={
             name: with_delay(
-                board, boards[name].time_offset.value - delays_s[name] - link_delays_s[name]
+                board,
+                boards[name].time_offset.value - delays_s[name] - link_delays_s[name] - lag_s,
             )
             for name, board in plain_boards.items()
         },
