@@ -124,7 +124,7 @@ class _TableWriter:
         """Copy the header and the rows, and append the rates."""
         header = lines.readline(MAX_HEADER_CHARS)
         delimiter = max(",;\t", key=header.count)
-        names = [n.strip() for n in next(csv.reader(StringIO(header), delimiter=delimiter), [])]
+        names = [name.strip() for name in self._split(header, delimiter, 1)]
         column_indices = self._column_indices(names)
         added = [*RATE_COLUMNS, *([TIME_COLUMN] if self._columns.time else [])]
         existing = [name for name in added if name in names]
@@ -188,6 +188,15 @@ class _TableWriter:
                 )
         return [names.index(name) for name in self._columns.names]
 
+    def _split(self, line: str, delimiter: str, number: int) -> list[str]:
+        try:
+            return next(csv.reader(StringIO(line), delimiter=delimiter), [])
+        except csv.Error as fault:
+            raise InputError(
+                f"row {number} of the table {self._name} cannot be read ({fault})",
+                "correct or remove the row",
+            ) from fault
+
     def _check_widths(
         self, block: Sequence[str], delimiter: str, width: int, rows_before: int
     ) -> None:
@@ -195,7 +204,7 @@ class _TableWriter:
         for number, line in enumerate(block, start=rows_before + 1):
             if line.count(delimiter) == width - 1:
                 continue
-            cells = next(csv.reader([line], delimiter=delimiter), [])
+            cells = self._split(line, delimiter, number)
             if len(cells) != width:
                 raise InputError(
                     f"row {number} of the table {self._name} has {len(cells)} columns, but the "
@@ -227,7 +236,7 @@ class _TableWriter:
     def _parse_row(
         self, line: str, delimiter: str, column_indices: Sequence[int], number: int
     ) -> list[float]:
-        cells = next(csv.reader([line], delimiter=delimiter), [])
+        cells = self._split(line, delimiter, number + 1)
         if max(column_indices) >= len(cells):
             raise InputError(
                 f"row {number + 1} of the table {self._name} has only {len(cells)} columns",

@@ -112,8 +112,15 @@ def _column_names(source: Path) -> list[str]:
     else:
         first = read_head(source).partition(b"\n")[0].decode("utf-8-sig", errors="replace")
         delimiter = max(",;\t", key=first.count)
-        names = [name.strip() for name in next(csv.reader([first], delimiter=delimiter), [])]
+        names = [name.strip() for name in _split_header(first, delimiter)]
     return [" ".join(name.split()) for name in names[:MAX_LISTED_COLUMNS]]
+
+
+def _split_header(line: str, delimiter: str) -> list[str]:
+    try:
+        return next(csv.reader([line], delimiter=delimiter), [])
+    except csv.Error:  # for example, a name with more than 131072 characters
+        return line.split(delimiter)
 
 
 def _sketch_map(names: Sequence[str]) -> str:

@@ -212,13 +212,21 @@ def _check_same_settings(recordings: Sequence[Recording], samples: Sequence[Gyro
     for recording, other in others:
         for key in ("gyro_scale_rad_s", "gyro_full_scale_dps", "bandwidth_hz"):
             value, other_value = first[1].metadata.get(key), other.metadata.get(key)
-            if value != other_value:
+            if _as_number(value) != _as_number(other_value):
                 raise UsageError(
                     f"the setting {key} of board {other.board} differs: it is "
                     f"{value or 'not given'} in the recording {first[0].path.name}, and "
                     f"{other_value or 'not given'} in {recording.path.name}",
                     "solve these two recordings separately",
                 )
+
+
+def _as_number(text: str | None) -> float | str | None:
+    """Return a setting as a number, because `250` and `250.0` are the same; else as it is."""
+    try:
+        return float(text or "")
+    except ValueError:
+        return text
 
 
 @cache

@@ -153,6 +153,12 @@ def _list(value: list[float | None] | float | None) -> list[float | None]:
     return value if isinstance(value, list) else [value] * len(AXES)
 
 
+_TABLE_COLUMNS = frozenset(
+    ["temperature_degc"]
+    + [f"{name}_{axis}" for name in ("bias", "bias_std", "scale", "scale_std") for axis in AXES]
+)
+
+
 def _table_rows(path: Path, unit: float) -> list[dict[str, float]]:
     try:
         check_text_table(path)
@@ -180,7 +186,7 @@ def _table_row(row: dict[str, str], number: int, name: str, unit: float) -> dict
     values = {}
     for column, text in row.items():
         key = (column or "").strip()
-        if key != "temperature_degc" and not key.startswith(("bias_", "scale_")):
+        if key not in _TABLE_COLUMNS:
             continue
         try:
             value = float(text)

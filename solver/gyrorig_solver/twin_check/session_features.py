@@ -129,14 +129,23 @@ def _residual_families(
                 deg,
             )
         )
-    temperature = session.samples.temperature_degc
-    if temperature is not None and np.ptp(temperature) > MIN_TEMPERATURE_SPAN_K:
-        at_blocks = np.interp(session.block_time_s, session.samples.time_s, temperature)
+    temperature = _known_temperature(session)
+    if temperature is not None and np.ptp(temperature[1]) > MIN_TEMPERATURE_SPAN_K:
+        at_blocks = np.interp(session.block_time_s, *temperature)
         families.append(
             regress.family("temperature", "residual against the temperature", "deg/s",
                            "temperature, °C", at_blocks, ones, TIME_BINS, deg)
         )  # fmt: skip
     return families
+
+
+def _known_temperature(session: ObservedSession) -> tuple[FloatArray, FloatArray] | None:
+    """Return times, s, and temperatures, degC, of the samples that have one; None without them."""
+    degc = session.samples.temperature_degc
+    if degc is None:
+        return None
+    is_known = np.isfinite(degc)
+    return (session.samples.time_s[is_known], degc[is_known]) if is_known.any() else None
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -84,6 +84,10 @@ def test_a_row_without_a_reading_has_no_rate(golden: Path, tmp_path: Path) -> No
         ("gx;gy;gz\n1;2;3\n1;2;3;\n", "row 2 of the table in.csv has 4 columns, but the"),
         ("gx,gy,gz,rate_x_rad_s\n1,2,3,4\n", "calibrated data (column rate_x_rad_s)"),
         ("", "no column 'gx'"),
+        (
+            "gx,gy,gz,note\n1,2,3,a\n1,2,3," + 200_000 * "n" + ",\n",
+            "row 2 of the table in.csv cannot",
+        ),
     ],
 )
 def test_an_unusable_table_is_rejected_and_no_file_remains(

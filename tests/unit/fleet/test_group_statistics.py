@@ -16,6 +16,7 @@ from gyrorig_solver.fleet.store.coordination import RowJournal
 from gyrorig_solver.storage import Folder
 
 STD = 1e-3
+REFUSED = ("lot-a-3", "lot-a-4")  # two boards of one session
 LOTS = {"lot-a": 24, "lot-b": 20, "lot-c": 5}
 VALUES = {
     name: np.random.default_rng(41 + index).normal(1.0 + 0.02 * index, 2e-3, count)
@@ -35,7 +36,8 @@ def fleet_json(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> dict[str, 
             rows.append(row(board, board=board, sensor="S", rig="r", parameters=parameters))
             lines.append(f"{board},{lot},")
     later = "2026-02-01T02:30:00Z"
-    rows.append(row("bad", board="lot-a-3", status="rejected", created=later, rig="r"))
+    for board in REFUSED:
+        rows.append(row("bad", board=board, status="rejected", created=later, rig="r"))
     with RowJournal(Folder(tmp_path / "store"), "night") as journal:
         journal.add(rows)
     StoreIndex(tmp_path / "store").merge_ended_batches()
@@ -85,8 +87,12 @@ def test_a_single_rig_has_no_z_and_boards_have_their_latest_status(
     (rig,) = groups(fleet_json, "rig").values()
     assert rig["parameters"]["scale_x"]["z"] is None
     assert rig["boards"] == sum(LOTS.values())
-    assert rig["states"] == {"ok": sum(LOTS.values()) - 1, "rejected": 1}
+    assert rig["states"] == {"ok": sum(LOTS.values()) - 2, "rejected": 2}
     assert groups(fleet_json, "lot")["lot-b"]["states"] == {"ok": LOTS["lot-b"]}
+
+
+def test_boards_of_one_session_are_one_rejected_session(fleet_json: dict[str, Any]) -> None:
+    assert [item["what"] for item in fleet_json["worries"]][-1:] == ["1 session rejected"]
 
 
 def test_the_page_has_the_same_groups(fleet_json: dict[str, Any], tmp_path: Path) -> None:

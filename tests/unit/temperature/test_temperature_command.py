@@ -83,6 +83,19 @@ def test_a_table_gives_curves_of_bias_and_scale(
     assert (tmp_path / "cal" / "GY80-0007" / "v0002.yaml").exists()
 
 
+def test_other_columns_of_a_table_may_contain_words(
+    table: Path, tmp_path: Path, capsys: Captured
+) -> None:
+    header, *rows = table.read_text().splitlines()
+    lines = [f"{header},bias_note", *(f"{row},as measured" for row in rows)]
+    (tmp_path / "noted.csv").write_text("\n".join(lines))
+    document, _ = solved([str(tmp_path / "noted.csv"), "--board", "B"], tmp_path / "a", capsys)
+    plain, _ = solved([str(table), "--board", "B"], tmp_path / "b", capsys)
+    assert document.temperature is not None
+    assert plain.temperature is not None
+    assert document.temperature.bias == plain.temperature.bias
+
+
 def test_calibrations_at_several_temperatures(tmp_path: Path, capsys: Captured) -> None:
     paths = []
     for k, degc in enumerate([0.0, 10.0, 20.0, 30.0, 40.0, 50.0]):

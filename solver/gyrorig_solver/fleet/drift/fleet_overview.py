@@ -80,7 +80,7 @@ class FleetOverview:
     prior_dominated: BoolArray  # (boards, parameters)
     shrunk: FloatArray  # (boards, parameters), NaN where there is none
     shrunk_std: FloatArray
-    unsuccessful: list[tuple[str, int]]  # statuses of jobs without a calibration, and counts
+    unsuccessful: list[tuple[str, int]]  # statuses of sessions without a calibration, and counts
     nights: int
     charts: list[DriftChart]  # one per parameter; none without recordings
     night_days: IntArray  # (nights,), since 1970
@@ -121,7 +121,8 @@ def build_overview(store: Path | Storage, origins: BoardOrigins | None = None) -
         unsuccessful=[
             (str(status), int(count))
             for status, count in index.query(
-                "SELECT status, count(*) FROM rows WHERE status <> 'ok' GROUP BY 1 ORDER BY 1"
+                "SELECT status, count(DISTINCT key) FROM rows WHERE status <> 'ok' "
+                "GROUP BY 1 ORDER BY 1"
             )
         ],
         nights=len(night_days),

@@ -92,17 +92,25 @@ def read_origins(path: Path) -> BoardOrigins:
         raise InputError(
             f"the table of boards {path} is not a text in UTF-8", "save the table as UTF-8"
         ) from fault
-    rows = csv.DictReader(text.splitlines())
-    if rows.fieldnames is None or "board" not in rows.fieldnames:
+    lines = csv.reader(text.splitlines())
+    try:
+        names = [name.strip() for name in next(lines, [])]
+        rows = [dict(zip(names, map(str.strip, cells), strict=False)) for cells in lines if cells]
+    except csv.Error as fault:
+        raise InputError(
+            f"the table of boards {path} cannot be read ({fault})",
+            "give a table (CSV) with the columns board, lot and site",
+        ) from fault
+    if "board" not in names:
         raise InputError(
             f"the table of boards {path} has no column `board`",
             "begin the table with the header line board,lot,site",
         )
     origins = BoardOrigins()
     for row in rows:
-        board = BoardId(row["board"] or "")
-        origins.lot[board] = (row.get("lot") or "")[:64]
-        origins.site[board] = (row.get("site") or "")[:64]
+        board = BoardId(row.get("board", ""))
+        origins.lot[board] = row.get("lot", "")[:64]
+        origins.site[board] = row.get("site", "")[:64]
     return origins
 
 

@@ -210,7 +210,7 @@ def _unsuccessful_work_alerts(overview: FleetOverview) -> list[Alert]:
     return [
         Alert(
             "work",
-            f"{plural(count, 'recording')} {status}",
+            f"{plural(count, 'session')} {status}",
             reasons[status],
             actions[status],
         )
