@@ -517,6 +517,16 @@ def test_a_unit_that_was_unplugged_while_the_daemon_was_silent_is_halted() -> No
     assert os.read(device, 100) == b"H "
 
 
+def test_a_unit_whose_port_is_closed_when_the_daemon_dies_is_halted() -> None:
+    device, line = pty.openpty()
+    tty.setraw(line)
+    os.set_blocking(device, False)
+    acquisition, _, _ = make_acquisition(PortSettings(os.ttyname(line), 9600, "H "))
+    acquisition._send_final_commands()
+    select.select([device], [], [], PATIENCE_S)
+    assert os.read(device, 100) == b"H "
+
+
 def test_bytes_before_and_after_a_loss_do_not_make_one_line() -> None:
     device, line = pty.openpty()
     tty.setraw(line)

@@ -295,6 +295,9 @@ class Acquisition:
 
     def _send_final_commands(self) -> None:
         for port in self._ports:
+            if port.line is None and port.is_urgent:  # it is being opened again
+                with contextlib.suppress(PortRefusedError):
+                    port.open()
             if port.line is not None:
                 _write_out(port.line, port.final_command)
 
