@@ -55,6 +55,10 @@ from gyrorig_solver.plan.program_search import AIMS
 from gyrorig_solver.plan.total_prediction import PlanPrior
 from gyrorig_solver.uncertainty import default_settings, read_settings
 
+UNKNOWN_UNIT = (
+    "the prediction assumes the motor steps, accelerations and reply times of a PTU-E46, but the "
+    "rig file has another unit"
+)
 MAX_LINES = 20  # of the output without --details
 MAX_CAUSES = 3  # named of each program without --details
 SHORTEST_S, LONGEST_S = 5.0, 900.0  # repeat a program for longer recordings
@@ -207,6 +211,8 @@ def plan_command(terminal: Terminal, /, **options: Any) -> int:
         f"{rig.name}, {sensor.name}: predicted total standard uncertainties (from noise)",
         *_prediction_lines(predictions, list(totals.values()), options["details"]),
     ]
+    if not rig.is_unit_known:
+        lines.append(f"  remark: {UNKNOWN_UNIT}")
     terminal.print_result("\n".join(lines))
     free_lines = MAX_LINES - len(lines) - len(predictions) - (plan_result is not None)
     shown_causes = max(0, min(MAX_CAUSES, free_lines // len(predictions)))

@@ -23,6 +23,8 @@ from gyrorig_solver.plan.unit_model import BITS_PER_BYTE, AxisModel, UnitModel, 
 SCHEMA = "gyrorig/rig/1"
 EMULATED = "emulated"
 MANUAL = "manual"  # the driver of a rig that a person turns
+# Units that `unit_model` describes: of this driver, and not of this dialect.
+KNOWN_DRIVER, UNKNOWN_DIALECT = "directed_perception", "d48e"
 DEFAULT_SENSOR = "L3G4200D"
 Positive = Annotated[float, msgspec.Meta(gt=0.0)]
 
@@ -41,7 +43,7 @@ class _Polling(msgspec.Struct, frozen=True):
 
 class _Unit(msgspec.Struct, frozen=True):
     port: str
-    driver: str = ""
+    driver: str = KNOWN_DRIVER
     baud: Annotated[int, msgspec.Meta(ge=300)] = 9600
     dialect: Literal["auto", "d46", "e46"] = "auto"
     limits: _Limits = _Limits()
@@ -64,7 +66,7 @@ class _Board(msgspec.Struct, frozen=True):
 
 
 class _Emulator(msgspec.Struct, frozen=True):
-    dialect: Literal["d46", "e46"] = "e46"
+    dialect: Literal["d46", "e46", "d48e"] = "e46"
     command_time_ms: Annotated[float, msgspec.Meta(ge=0.0)] = 10.0
     odr_hz: Positive = 100.0
     bandwidth_hz: Positive | None = None
@@ -98,6 +100,7 @@ class RigModel:
     full_scale_dps: float | None
     timestamp_std_s: float
     site: Site
+    is_unit_known: bool = True  # False: `unit` has the steps and times of a PTU-E46 instead
 
     def sensor(self, profile: SensorProfile) -> SensorModel:
         """Return the sensor model of a data sheet on this rig.
@@ -133,9 +136,10 @@ def load_rig(path: Path) -> RigModel:
             "pan-tilt unit",
         )
     emulated = unit.port == EMULATED
-    named: str = unit.dialect if unit.dialect != "auto" else "e46"
+    dialect: str = emulator.dialect if emulated else unit.dialect
+    is_unit_known = unit.driver == KNOWN_DRIVER and dialect != UNKNOWN_DIALECT
     model = build_unit_model(
-        Dialect(emulator.dialect if emulated else named),
+        Dialect.D46 if dialect == "d46" else Dialect.E46,
         unit.baud,
         emulator.command_time_ms * 1e-3 if emulated else None,
         unit.poll.rate_hz,
@@ -156,6 +160,7 @@ def load_rig(path: Path) -> RigModel:
             document.site.heading_deg,
             document.site.gravity_m_s2 or STANDARD_GRAVITY_M_S2,
         ),
+        is_unit_known=is_unit_known,
     )
 
 

@@ -12,6 +12,7 @@ from tests.support.quick_cases import quick_cases
 from gyrorig_protocol.errors import UsageError
 from gyrorig_protocol.program import MotionProgram, parse_program
 from gyrorig_protocol.recording.reader import read_recording
+from gyrorig_solver.cli import run
 from gyrorig_solver.data.samples import load_samples
 from gyrorig_solver.estimate.gyro_fit import NoiseLevels
 from gyrorig_solver.pipeline import solve_recordings
@@ -116,6 +117,27 @@ def test_rigs_limits_bind(tmp_path: Path) -> None:
     assert unit.tilt.fastest_deg_s == 40.0
     assert not unit.both_at_once
     assert unit.poll_interval_s >= 0.1
+
+
+@pytest.mark.parametrize(
+    ("unit", "is_known"),
+    [
+        ("{port: emulated}, emulator: {dialect: d48e}", False),
+        ("{port: emulated}", True),
+        ("{port: /dev/p, dialect: e46}", True),
+        ("{port: /dev/p, driver: scpi_table}", False),
+    ],
+)
+def test_a_prediction_states_that_it_assumes_another_unit(
+    tmp_path: Path, unit: str, is_known: bool, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "rig.yaml"
+    boards = "boards: [{id: b, port: emulated}]"
+    path.write_text(f"{{schema: gyrorig/rig/1, rig: r, {boards}, ptu: {unit}}}", encoding="utf-8")
+    program = PROGRAMS / "quick.yaml"
+    command = ["plan", "--rig", str(path), "--program", str(program), "--no-causes"]
+    assert run(command) == 0
+    assert ("rig file has another unit" in capsys.readouterr().out) is not is_known
 
 
 def test_a_rig_whose_boards_a_person_turns_has_no_unit_to_plan_for() -> None:
