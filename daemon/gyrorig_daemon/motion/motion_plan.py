@@ -90,6 +90,9 @@ def plan_program(
                 )
             )
             position_steps[axis] = target
+        for axis in facts.axes:
+            if all(part.axis is not axis for part in axes):
+                _check_resting_axis(axis, facts.axis(axis), limits, position_steps[axis], step_name)
         phase: Literal["sweep", "home"] = "home" if isinstance(step, Home) else "sweep"
         planned_steps.append(PlannedMove(phase, tuple(axes), move.settle_s, _describe(move)))
     planned_s = plan_duration_s(planned_steps)
@@ -146,16 +149,11 @@ def _axis_targets(move: Move, default_deg_s: float) -> Iterable[tuple[Axis, floa
 def _target_steps(
     axis: Axis, axis_facts: AxisFacts, limits: CommandLimits, angle_deg: float, step_name: str
 ) -> int:
-    low_deg, high_deg = (
-        (limits.pan_min_deg, limits.pan_max_deg)
-        if axis is Axis.PAN
-        else (limits.tilt_min_deg, limits.tilt_max_deg)
-    )
     ends_deg = sorted(
         steps / axis_facts.steps_per_deg for steps in (axis_facts.min_steps, axis_facts.max_steps)
     )
-    low_deg = max(ends_deg[0], -math.inf if low_deg is None else low_deg)
-    high_deg = min(ends_deg[1], math.inf if high_deg is None else high_deg)
+    rig_low_deg, rig_high_deg = _rig_limits_deg(axis, limits)
+    low_deg, high_deg = max(ends_deg[0], rig_low_deg), min(ends_deg[1], rig_high_deg)
     target_steps = axis_facts.to_steps(angle_deg)
     is_inside = axis_facts.min_steps <= target_steps <= axis_facts.max_steps
     if not is_inside or not low_deg - 1e-9 <= angle_deg <= high_deg + 1e-9:
@@ -165,6 +163,29 @@ def _target_steps(
             "change the motion program, or the limits in the rig file",
         )
     return target_steps
+
+
+def _rig_limits_deg(axis: Axis, limits: CommandLimits) -> tuple[float, float]:
+    low_deg, high_deg = (
+        (limits.pan_min_deg, limits.pan_max_deg)
+        if axis is Axis.PAN
+        else (limits.tilt_min_deg, limits.tilt_max_deg)
+    )
+    return -math.inf if low_deg is None else low_deg, math.inf if high_deg is None else high_deg
+
+
+def _check_resting_axis(
+    axis: Axis, axis_facts: AxisFacts, limits: CommandLimits, steps: int, step_name: str
+) -> None:
+    """Check that an axis which does not move in a step is within the limits of the rig."""
+    angle_deg, step_deg = steps / axis_facts.steps_per_deg, 1.0 / abs(axis_facts.steps_per_deg)
+    low_deg, high_deg = _rig_limits_deg(axis, limits)
+    if not low_deg - step_deg <= angle_deg <= high_deg + step_deg:
+        raise UsageError(
+            f"in {step_name}, the {axis.label} axis stays at {angle_deg:.2f} deg, but the limits "
+            f"in the rig file are {low_deg:.2f} and {high_deg:.2f} deg",
+            f"move the {axis.label} axis into its limits at the beginning of the motion program",
+        )
 
 
 def _check_fixed_axis(axis: Axis, angle_deg: float, step_name: str) -> None:

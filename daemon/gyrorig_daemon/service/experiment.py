@@ -331,12 +331,13 @@ def limits_document(config: RigConfig) -> bytes:
             "port": unit.port,
             "baud": unit.baud,
             "dialect": unit.dialect,
+            "pan_sign": unit.pan_sign,
+            "tilt_sign": unit.tilt_sign,
             "limits": msgspec.to_builtins(unit.limits),
         },
         "boards": [{"id": str(config.boards[0].id), "port": EMULATED}],
+        "emulator": {"dialect": emulator.dialect},
     }
-    if emulator.dialect in ("d46", "e46"):  # the solver has no others
-        plain["emulator"] = {"dialect": emulator.dialect}
     return dump_yaml(plain).encode()
 
 

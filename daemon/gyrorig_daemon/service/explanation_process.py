@@ -29,6 +29,7 @@ MEMORY_BYTES = 2 * 2**30
 FILE_BYTES = 256 * 2**20  # of each file that it writes
 MAX_REPORT_BYTES = 16 * 2**20
 MAX_REASON_CHARACTERS = 500
+KILL_AFTER_S = 5  # processor time above the limit
 NICENESS = 19
 OOM_SCORE_ADJUSTMENT = 500  # the unit of the daemon has -500
 END_TIMEOUT_S = 5.0
@@ -198,7 +199,9 @@ class ExplanationProcess:
         }
         with contextlib.suppress(ProcessLookupError):
             for kind, value in limits.items():
-                resource.prlimit(pid, kind, (value, value))
+                # The soft limit of time ends the child with a signal that tells the reason.
+                hard = value + KILL_AFTER_S if kind == resource.RLIMIT_CPU else value
+                resource.prlimit(pid, kind, (value, hard))
         with contextlib.suppress(OSError):  # a filter of system calls can forbid it
             os.setpriority(os.PRIO_PROCESS, pid, NICENESS)
         with contextlib.suppress(OSError):

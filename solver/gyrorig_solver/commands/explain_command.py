@@ -102,7 +102,7 @@ def explain_command(
     """
     for cause in next_causes:
         find_term(cause)
-    unit = None if rig_path is None else load_rig(rig_path).unit
+    rig = None if rig_path is None else load_rig(rig_path)
     if next_program is not None:
         require_new_path(next_program, "--next-program")
     held_out_recording = None if held_out is None else read_within_limits(held_out)
@@ -123,7 +123,7 @@ def explain_command(
             if isinstance(explanation, GyrorigError):
                 raise explanation
             terminal.print_progress(f"planning the next experiment of {name}")
-            planned = with_next_experiment(explanation, unit, next_seconds, next_causes)
+            planned = with_next_experiment(explanation, rig, next_seconds, next_causes)
             written.append(write_explanation(out, planned, next_program))
             terminal.print_result(findings_text(written[-1]))
         except GyrorigError as fault:

@@ -56,8 +56,8 @@ from gyrorig_solver.plan.total_prediction import PlanPrior
 from gyrorig_solver.uncertainty import default_settings, read_settings
 
 UNKNOWN_UNIT = (
-    "the prediction assumes the motor steps, accelerations and reply times of a PTU-E46, but the "
-    "rig file has another unit"
+    "the prediction assumes the two axes, motor steps, accelerations and reply times of a PTU-E46, "
+    "but the rig file has another unit"
 )
 MAX_LINES = 20  # of the output without --details
 MAX_CAUSES = 3  # named of each program without --details

@@ -162,6 +162,8 @@ def _rms_change(squares: list[FloatArray], errors: list[float]) -> ConfidenceInt
 
 def _confidence_interval(samples: FloatArray, value: float, factor: float) -> ConfidenceInterval:
     """Return a value with its 95 % interval from the scatter over the windows."""
+    if samples.size < 2:
+        return ConfidenceInterval(value, float("nan"), float("nan"))
     half = normal_quantile(0.025) * float(np.std(samples, ddof=1) / np.sqrt(samples.size)) * factor
     return ConfidenceInterval(value, value - half, value + half)
 

@@ -7,20 +7,23 @@ a search.
 from collections.abc import Sequence
 from dataclasses import replace
 
+import numpy as np
+
 from gyrorig_protocol.errors import UsageError
 from gyrorig_protocol.recording.recording import Recording
 from gyrorig_solver.discover import FitExplanation
 from gyrorig_solver.pipeline.board_results import BoardExplanation
-from gyrorig_solver.plan import MAX_PROGRAM_S, NextExperiment
+from gyrorig_solver.plan import MAX_PROGRAM_S, NextExperiment, RigModel, apply_limits
 from gyrorig_solver.plan.separation import propose_program, recorded_unit
 from gyrorig_solver.plan.unit_model import UnitModel
+from gyrorig_solver.reference import PanTiltReference
 
 PTU_METADATA = "gyrorig.ptu"
 
 
 def with_next_experiment(
     explanation: BoardExplanation,
-    unit: UnitModel | None = None,
+    rig: RigModel | None = None,
     max_duration_s: float = MAX_PROGRAM_S,
     unseen: Sequence[str] = (),
 ) -> BoardExplanation:
@@ -37,7 +40,7 @@ def with_next_experiment(
         return _with_reason(explanation, reason) if unseen else explanation
     try:
         proposed = next_experiment(
-            explanation.recordings, fit_explanation, unit, max_duration_s, unseen
+            explanation.recordings, fit_explanation, rig, max_duration_s, unseen
         )
     except UsageError as fault:
         return _with_reason(explanation, fault.problem)
@@ -52,7 +55,7 @@ def _with_reason(explanation: BoardExplanation, reason: str) -> BoardExplanation
 def next_experiment(
     recordings: Sequence[Recording],
     explanation: FitExplanation,
-    unit: UnitModel | None = None,
+    rig: RigModel | None = None,
     max_duration_s: float = MAX_PROGRAM_S,
     unseen: Sequence[str] = (),
 ) -> NextExperiment | None:
@@ -61,11 +64,27 @@ def next_experiment(
     Args:
         recordings: of the explanation.
         explanation: the search for causes in these recordings.
-        unit: with the limits of the rig; by default the unit as in the last recording.
+        rig: with further limits; its unit counts only if the last recording does not state one.
         max_duration_s: of the program.
         unseen: causes that the program must show at their typical size.
+
+    Raises:
+        UsageError: the limits of the rig allow no motion, or the program leaves those of the unit.
     """
-    metadata = recordings[-1].metadata.get(PTU_METADATA)
-    if unit is None and metadata is not None:
-        unit = recorded_unit(metadata)
+    unit = _unit_of_recording(recordings[-1], explanation)
+    if unit is not None and rig is not None:
+        unit = apply_limits(unit, rig.limits, f"the rig file of {rig.name}")
+    if unit is None and rig is not None:
+        unit = rig.unit
     return None if unit is None else propose_program(explanation, unit, max_duration_s, unseen)
+
+
+def _unit_of_recording(recording: Recording, explanation: FitExplanation) -> UnitModel | None:
+    """Return the unit that a recording states, with the signs of its fit; None if it is unknown."""
+    metadata = recording.metadata.get(PTU_METADATA)
+    unit = None if metadata is None else recorded_unit(metadata)
+    reference = explanation.solution_extended.sessions[-1].reference
+    if unit is None or not isinstance(reference, PanTiltReference):
+        return unit
+    pan_sign, tilt_sign = (int(np.sign(step_rad)) for step_rad in reference.rad_per_step)
+    return replace(unit, pan=unit.pan.with_sign(pan_sign), tilt=unit.tilt.with_sign(tilt_sign))

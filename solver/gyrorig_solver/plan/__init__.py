@@ -12,7 +12,7 @@ from gyrorig_solver.plan.detectability import DetectabilityReport, predict_detec
 from gyrorig_solver.plan.prediction import Prediction, predict_program
 from gyrorig_solver.plan.program_file import program_text, require_new_path, write_new_file
 from gyrorig_solver.plan.program_search import PlanResult, find_program
-from gyrorig_solver.plan.rig_model import RigModel, load_rig
+from gyrorig_solver.plan.rig_model import RigModel, apply_limits, load_rig
 from gyrorig_solver.plan.separation import MAX_PROGRAM_S, NextExperiment
 from gyrorig_solver.plan.total_prediction import TotalPrediction, predict_total
 
@@ -24,6 +24,7 @@ __all__ = [
     "Prediction",
     "RigModel",
     "TotalPrediction",
+    "apply_limits",
     "find_program",
     "load_rig",
     "predict_detectability",

@@ -30,7 +30,7 @@ from gyrorig_solver.estimate.series import MIN_SERIES_BLOCKS
 from gyrorig_solver.model import FACTOR_NAMES, GAIN_NAMES, factor_jacobian, factorise
 from gyrorig_solver.plan.program_timeline import ProgramTimeline, simulate_program
 from gyrorig_solver.plan.sensor_model import SensorModel
-from gyrorig_solver.plan.unit_model import ARCSEC_PER_DEG, UnitModel
+from gyrorig_solver.plan.unit_model import UnitModel
 from gyrorig_solver.reference import PanTiltReference
 from gyrorig_solver.reference.unit.move_fit import fit_moves
 from gyrorig_solver.reference.unit.unit_moves import MotionReader
@@ -134,9 +134,9 @@ def simulate_reference(timeline: ProgramTimeline, unit: UnitModel) -> PanTiltRef
     """Return the reference motion that the solver would fit from the simulated replies."""
     motion = MotionReader(timeline.settings, (0, 0)).read(timeline.orders)
     polls = timeline.simulate_polls(unit)
-    pan, tilt = (np.radians(axis.resolution_arcsec / ARCSEC_PER_DEG) for axis in unit.axes)
+    rad_per_step = (unit.pan.step_rad, unit.tilt.step_rad)
     span_s = (0.0, timeline.duration_s)
-    return PanTiltReference.of(motion, fit_moves(motion, polls), (float(pan), float(tilt)), span_s)
+    return PanTiltReference.of(motion, fit_moves(motion, polls), rad_per_step, span_s)
 
 
 def _simulated_series(duration_s: float, sensor: SensorModel, name: str) -> Series:

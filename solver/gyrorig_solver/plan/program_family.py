@@ -14,6 +14,7 @@ different tilts it does. To separate causes, a stay can have several speeds and 
 pose again. Every move ends in a short rest.
 """
 
+import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -73,6 +74,7 @@ class MotionSpace:
     tilt_deg: tuple[float, float]
     pan_speed_deg_s: float
     tilt_speed_deg_s: float
+    slowest_deg_s: float = 0.0  # of both axes
 
     @classmethod
     def of(cls, unit: UnitModel, fastest_deg_s: float) -> "MotionSpace":
@@ -83,13 +85,33 @@ class MotionSpace:
             spans.append((axis.low_deg + margin, axis.high_deg - margin))
         # Rounded down to one decimal, as a person would write them.
         fast = [int(min(axis.fastest_deg_s, fastest_deg_s) * 10.0) / 10.0 for axis in unit.axes]
-        return cls(spans[0], spans[1], fast[0], fast[1])
+        slowest = max(math.ceil(axis.slowest_deg_s * 10.0) / 10.0 for axis in unit.axes)
+        return cls(spans[0], spans[1], fast[0], fast[1], min(slowest, *fast))
 
     @property
     def home(self) -> Waypoint:
         """The allowed waypoint nearest to pan 0, tilt 0."""
         pan, tilt = (min(max(0.0, low), high) for low, high in (self.pan_deg, self.tilt_deg))
         return Waypoint(pan, tilt)
+
+    def enter_steps(self, dwell_s: float) -> "Steps":
+        """Return the move from pan 0, tilt 0 to home, with a rest; none if home is there.
+
+        A session begins where the unit is, usually at 0, which can be outside the rig's limits.
+        """
+        if self.home[:2] == (0.0, 0.0):
+            return ()
+        move = Move(
+            pan_deg=self.home.pan_deg,
+            tilt_deg=self.home.tilt_deg,
+            pan_speed_deg_s=self.pan_speed_deg_s,
+            tilt_speed_deg_s=self.tilt_speed_deg_s,
+        )
+        return Step(move=move), Step(rest=Rest(dwell_s))
+
+    def limited_speed(self, speed_deg_s: float) -> float:
+        """Return a speed with one decimal, at least the slowest one."""
+        return max(self.slowest_deg_s, round(speed_deg_s, 1))
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,9 +141,9 @@ class ProgramDesign:
     def settings(self, space: MotionSpace) -> PtuSettings:
         """Return the unit settings, which are sent before the first move."""
         return PtuSettings(
-            base_speed_deg_s=BASE_SPEED_DEG_S,
+            base_speed_deg_s=min(BASE_SPEED_DEG_S, space.pan_speed_deg_s, space.tilt_speed_deg_s),
             acceleration_deg_s2=self.acceleration_deg_s2,
-            default_speed_deg_s=round(self.pan_speed * space.pan_speed_deg_s, 1),
+            default_speed_deg_s=space.limited_speed(self.pan_speed * space.pan_speed_deg_s),
         )
 
     def start_waypoint(self, space: MotionSpace) -> Waypoint:
@@ -172,16 +194,20 @@ class ProgramDesign:
         pan_speed = self.pan_speed * space.pan_speed_deg_s
         tilt_speed = self.tilt_speed * space.tilt_speed_deg_s
         speeds = (
-            (round(pan_speed * point.speed_share, 1), round(tilt_speed * point.speed_share, 1))
+            (
+                space.limited_speed(pan_speed * point.speed_share),
+                space.limited_speed(tilt_speed * point.speed_share),
+            )
             for point in waypoints[1:]
         )
         return moves_between([waypoint[:2] for waypoint in waypoints], speeds, self.dwell_s)
 
     def lead_steps(self, space: MotionSpace) -> tuple[Steps, Steps]:
-        """Return the moves from home to the start and back; pan moves only at the tilt of home."""
+        """Return the moves to the start, and back home; pan moves only at the tilt of home."""
         start = self.start_waypoint(space)
         outward = (space.home, Waypoint(start.pan_deg, space.home.tilt_deg), start)
-        return self.motion_steps(outward, space), self.motion_steps(outward[::-1], space)[:-1]
+        lead = (*space.enter_steps(self.dwell_s), *self.motion_steps(outward, space))
+        return lead, self.motion_steps(outward[::-1], space)[:-1]
 
     def _waypoint(
         self, pan: float, tilt: float, space: MotionSpace, speed_share: float = 1.0

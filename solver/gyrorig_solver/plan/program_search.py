@@ -31,6 +31,7 @@ from gyrorig_solver.plan.program_family import (
     build_program,
     draw_design,
 )
+from gyrorig_solver.plan.program_timeline import MAX_DURATION_S
 from gyrorig_solver.plan.sensor_model import SensorModel
 from gyrorig_solver.plan.total_prediction import PlanPrior, TotalPrediction, predict_total
 from gyrorig_solver.plan.unit_model import UnitModel
@@ -225,7 +226,8 @@ def _neighbours(design: ProgramDesign) -> Iterator[ProgramDesign]:
 
 def _too_short(screen: WhiteNoiseScreen, duration_s: float) -> UsageError:
     """Return the error for a time that is too short for any program, with the minimum length."""
+    least_s = min(screen.min_duration_s.values(), default=MAX_DURATION_S)
     return UsageError(
         f"a motion program of {duration_s:g} s is too short to determine all parameters",
-        f"give --seconds {np.ceil(min(screen.min_duration_s.values())):.0f} or more",
+        f"give --seconds {np.ceil(least_s):.0f} or more",
     )

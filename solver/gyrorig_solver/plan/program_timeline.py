@@ -27,6 +27,10 @@ POLL_JITTER_S = 2.5e-4
 GOLDEN_RATIO = 0.6180339887498949
 
 
+class ProgramTooLongError(UsageError):
+    """A program lasts longer than a prediction permits."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class ProgramTimeline:
     """The simulated commands, motion profiles and polls of a program."""
@@ -73,6 +77,7 @@ def simulate_program(program: MotionProgram, unit: UnitModel) -> ProgramTimeline
 
     Raises:
         UsageError: a step exceeds the unit's limits or speeds; the text has its number.
+        ProgramTooLongError: the program lasts longer than an hour.
     """
     run = _ProgramRun(program, unit)
     for number, step in enumerate(unroll_steps(program.steps, program.name), start=1):
@@ -148,9 +153,9 @@ class _ProgramRun:
         base = self.unit.base_speed_steps_s
         acceleration = self.unit.acceleration_steps_s2
         if settings.base_speed_deg_s is not None:
-            base = float(model.to_steps(settings.base_speed_deg_s))
+            base = float(model.to_step_rate(settings.base_speed_deg_s))
         if settings.acceleration_deg_s2 is not None:
-            acceleration = float(model.to_steps(settings.acceleration_deg_s2))
+            acceleration = float(model.to_step_rate(settings.acceleration_deg_s2))
         return base, acceleration
 
     def _profile(self, axis: int, target: int, speed: int, start_s: float) -> MotionProfile | None:
@@ -171,7 +176,7 @@ class _ProgramRun:
 
     def _poll(self, count: int) -> None:
         if self.now_s + count * self.unit.poll_interval_s > MAX_DURATION_S:
-            raise UsageError(
+            raise ProgramTooLongError(
                 f"the motion program {self.program.name} lasts longer than {MAX_DURATION_S:g} s, "
                 "which is the limit for a prediction",
                 "shorten the program",
@@ -207,7 +212,7 @@ class _ProgramRun:
                 model = self.unit.axes[axis]
                 fastest = self.program.settings.upper_speed_deg_s or model.fastest_deg_s
                 _check_limits(model, fastest, AXES[axis], angle_deg, speed_deg_s, where)
-                yield axis, model.to_steps(angle_deg), model.to_steps(speed_deg_s)
+                yield axis, model.to_steps(angle_deg), model.to_step_rate(speed_deg_s)
 
 
 _AXIS = (OrderAxis.PAN, OrderAxis.TILT)

@@ -29,7 +29,9 @@ DEFAULT_SENSOR = "L3G4200D"
 Positive = Annotated[float, msgspec.Meta(gt=0.0)]
 
 
-class _Limits(msgspec.Struct, frozen=True):
+class RigLimits(msgspec.Struct, frozen=True):
+    """Limits of the motion; None: those of the unit."""
+
     pan_min_deg: float | None = None
     pan_max_deg: float | None = None
     tilt_min_deg: float | None = None
@@ -46,7 +48,9 @@ class _Unit(msgspec.Struct, frozen=True):
     driver: str = KNOWN_DRIVER
     baud: Annotated[int, msgspec.Meta(ge=300)] = 9600
     dialect: Literal["auto", "d46", "e46"] = "auto"
-    limits: _Limits = _Limits()
+    pan_sign: Literal[-1, 1] = 1
+    tilt_sign: Literal[-1, 1] = 1
+    limits: RigLimits = RigLimits()
     poll: _Polling = _Polling()
 
 
@@ -59,10 +63,16 @@ class _Facts(msgspec.Struct, frozen=True):
 
 class _Board(msgspec.Struct, frozen=True):
     id: str
-    port: str
+    port: str = ""
+    bus: str = ""
     baud: Annotated[int, msgspec.Meta(ge=300)] = 115200
     format: str = "gcb1"
     facts: _Facts = _Facts()
+
+
+class _Bus(msgspec.Struct, frozen=True):
+    id: str
+    port: str
 
 
 class _Emulator(msgspec.Struct, frozen=True):
@@ -84,6 +94,7 @@ class _Rig(msgspec.Struct, frozen=True):
     rig: str
     ptu: _Unit
     boards: Annotated[tuple[_Board, ...], msgspec.Meta(min_length=1)]
+    buses: tuple[_Bus, ...] = ()
     site: _Site = _Site()
     emulator: _Emulator = _Emulator()
 
@@ -94,6 +105,7 @@ class RigModel:
 
     name: str
     unit: UnitModel
+    limits: RigLimits
     sensor_name: str
     odr_hz: float | None
     bandwidth_hz: float | None
@@ -144,17 +156,20 @@ def load_rig(path: Path) -> RigModel:
         emulator.command_time_ms * 1e-3 if emulated else None,
         unit.poll.rate_hz,
     )
+    model = replace(
+        model, pan=model.pan.with_sign(unit.pan_sign), tilt=model.tilt.with_sign(unit.tilt_sign)
+    )
     facts = board.facts
-    simulated = board.port == EMULATED
-    protocol = find_protocol(board.format, owner=f"{path.name}: board {board.id}")
+    simulated = _port(document, board) == EMULATED
     return RigModel(
         name=document.rig,
-        unit=_apply_limits(model, unit.limits, path.name),
+        unit=apply_limits(model, unit.limits, path.name),
+        limits=unit.limits,
         sensor_name=DEFAULT_SENSOR if simulated else facts.sensor or DEFAULT_SENSOR,
         odr_hz=emulator.odr_hz if simulated else facts.odr_hz,
         bandwidth_hz=emulator.bandwidth_hz if simulated else facts.bandwidth_hz,
         full_scale_dps=emulator.gyro_full_scale_dps if simulated else facts.gyro_full_scale_dps,
-        timestamp_std_s=_ping_latency_std_s(board.baud) if protocol.answers_time_requests else 0.0,
+        timestamp_std_s=_timestamp_std_s(board, f"{path.name}: board {board.id}"),
         site=Site(
             document.site.latitude_deg,
             document.site.heading_deg,
@@ -164,14 +179,32 @@ def load_rig(path: Path) -> RigModel:
     )
 
 
+def _port(document: _Rig, board: _Board) -> str:
+    """Return the port of a board, or of its bus."""
+    buses = {bus.id: bus.port for bus in document.buses}
+    return board.port or buses.get(board.bus, "")
+
+
+def _timestamp_std_s(board: _Board, owner: str) -> float:
+    """Return the common uncertainty of a board's times that its link causes."""
+    if board.bus:
+        return 0.0  # the edge of a frame is one event for both
+    protocol = find_protocol(board.format, owner=owner)
+    return _ping_latency_std_s(board.baud) if protocol.answers_time_requests else 0.0
+
+
 def _ping_latency_std_s(baud: int) -> float:
     """Return the uncertainty of the link latency after pings: the wire time of one exchange."""
     request, reply = TimeRequest(0, 0).encode(), TimeReply(0, 0, 0, 0).encode()
     return (len(request) + len(reply)) * BITS_PER_BYTE / baud / float(np.sqrt(12.0))
 
 
-def _apply_limits(unit: UnitModel, limits: _Limits, name: str) -> UnitModel:
-    """Return the unit model within the limits of the rig file."""
+def apply_limits(unit: UnitModel, limits: RigLimits, name: str) -> UnitModel:
+    """Return a unit model within the limits of a rig.
+
+    Raises:
+        UsageError: the limits allow no motion; `name` is the file with the limits.
+    """
 
     def axis(
         model: AxisModel, low_deg: float | None, high_deg: float | None, axis_name: str

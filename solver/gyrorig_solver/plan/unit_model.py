@@ -4,7 +4,8 @@ The values are those of a PTU-E46 or D46 with a 17.5:1 gear in half steps (sourc
 constant). The daemon reads the unit's own values and rejects commands beyond them.
 """
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 
 from gyrorig_protocol.ptu import Dialect, dialect_features
 
@@ -21,17 +22,33 @@ COMMAND_BYTES, ANSWER_BYTES, MOTION_BYTES, POSITION_BYTES, QUERY_BYTES = 7, 3, 4
 
 @dataclass(frozen=True, slots=True)
 class AxisModel:
-    """The limits of one axis; angles and speeds are within those of the rig file."""
+    """The limits of one axis in the frame of the rig, within those of the rig file."""
 
     resolution_arcsec: float
     low_deg: float
     high_deg: float
     slowest_deg_s: float
     fastest_deg_s: float
+    sign: int = 1  # -1: the unit counts in the other direction
+
+    @property
+    def step_rad(self) -> float:
+        """The angle of one step, signed."""
+        return self.sign * math.radians(self.resolution_arcsec / ARCSEC_PER_DEG)
 
     def to_steps(self, angle_deg: float) -> int:
-        """Return the nearest count of an angle, or of a speed in deg/s."""
-        return round(angle_deg * ARCSEC_PER_DEG / self.resolution_arcsec)
+        """Return the nearest count of an angle."""
+        return self.sign * self.to_step_rate(angle_deg)
+
+    def to_step_rate(self, speed_deg_s: float) -> int:
+        """Return a speed in steps/s, or an acceleration in deg/s^2 in steps/s^2; not signed."""
+        return round(speed_deg_s * ARCSEC_PER_DEG / self.resolution_arcsec)
+
+    def with_sign(self, sign: int) -> "AxisModel":
+        """Return the axis for a sign of its counts; `self` has the sign 1."""
+        if sign > 0:
+            return self
+        return replace(self, low_deg=-self.high_deg, high_deg=-self.low_deg, sign=-1)
 
 
 @dataclass(frozen=True, slots=True)

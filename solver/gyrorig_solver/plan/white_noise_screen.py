@@ -15,9 +15,14 @@ from gyrorig_solver.data import FloatArray
 from gyrorig_solver.estimate import PARAMETER_NAMES, analyse_observability, white_noise_information
 from gyrorig_solver.plan.criterion import Criterion, bias_penalty, cost
 from gyrorig_solver.plan.program_family import STATIC_S, MotionSpace, ProgramDesign, Steps
-from gyrorig_solver.plan.program_timeline import HALT_WATCH_S, ProgramTimeline, simulate_program
+from gyrorig_solver.plan.program_timeline import (
+    HALT_WATCH_S,
+    ProgramTimeline,
+    ProgramTooLongError,
+    simulate_program,
+)
 from gyrorig_solver.plan.sensor_model import SensorModel
-from gyrorig_solver.plan.unit_model import ARCSEC_PER_DEG, UnitModel
+from gyrorig_solver.plan.unit_model import UnitModel
 from gyrorig_solver.reference import DETENT_VARIANCE, StageRateJacobian
 from gyrorig_solver.reference.unit.stage_kinematics import stage_rate
 
@@ -53,7 +58,10 @@ class WhiteNoiseScreen:
     def cost(self, design: ProgramDesign) -> float:
         """Return a design's cost, infinite if the design is not possible."""
         if design not in self._known:
-            self._known[design] = self._screen(design)
+            try:
+                self._known[design] = self._screen(design)
+            except ProgramTooLongError:  # on a slow rig
+                self._known[design] = float("inf")
         return self._known[design]
 
     def best_kinds(self, count: int) -> list[ProgramDesign]:
@@ -139,8 +147,7 @@ class _ProgramParts:
             steps = (*steps, *part)
             self._timeline = simulate_program(_program(design, space, steps), unit)
             self._ends_s.append(self._timeline.program_s)
-        pan, tilt = (float(np.radians(a.resolution_arcsec / ARCSEC_PER_DEG)) for a in unit.axes)
-        self._scale = (pan, tilt)
+        self._scale = (unit.pan.step_rad, unit.tilt.step_rad)
 
     def duration_s(self, part: int) -> float:
         """Return the duration of a part."""

@@ -21,8 +21,9 @@ from gyrorig_solver.findings.findings_document import parse_findings
 from gyrorig_solver.pipeline import explain_boards
 from gyrorig_solver.pipeline.board_results import BoardExplanation
 from gyrorig_solver.pipeline.next_experiment import next_experiment, with_next_experiment
-from gyrorig_solver.plan import NextExperiment, program_text
+from gyrorig_solver.plan import NextExperiment, load_rig, program_text
 from gyrorig_solver.plan.program_timeline import simulate_program
+from gyrorig_solver.plan.rig_model import RigLimits
 from gyrorig_solver.plan.separation import recorded_unit
 from gyrorig_solver.plan.separation.next_program import _needed_nats
 
@@ -135,16 +136,15 @@ def test_no_program_for_a_unit_that_the_recording_does_not_describe(
 
 
 def test_a_unit_without_room_is_a_remark(rig: AmbiguousRig) -> None:
-    unit = recorded_unit(rig.recording.metadata["gyrorig.ptu"])
-    assert unit is not None
-    slow = replace(unit, pan=replace(unit.pan, slowest_deg_s=100.0))
+    narrow = replace(load_rig(RIG), limits=RigLimits(pan_min_deg=1.0, pan_max_deg=-1.0))
     (explained,) = (
-        with_next_experiment(explanation, slow)
+        with_next_experiment(explanation, narrow)
         for _, explanation in explain_boards({BoardId(rig.board): [rig.recording]})
         if isinstance(explanation, BoardExplanation)
     )
     assert explained.next_experiment is None
     assert "no motion program is proposed" in explained.remarks[-1]
+    assert "allow no motion" in explained.remarks[-1]
 
 
 def test_a_cause_that_is_requested_without_a_unit_is_a_remark(tmp_path: Path) -> None:

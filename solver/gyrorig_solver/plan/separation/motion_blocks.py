@@ -46,12 +46,17 @@ def motion_blocks(space: MotionSpace) -> tuple[MotionBlock, ...]:
 
 
 def program_of_blocks(
-    blocks: Sequence[MotionBlock], settings: PtuSettings, name: str, static_s: float = STATIC_S
+    blocks: Sequence[MotionBlock],
+    space: MotionSpace,
+    settings: PtuSettings,
+    name: str,
+    static_s: float = STATIC_S,
 ) -> MotionProgram:
     """Return the program of some blocks in sequence, rests first.
 
     Args:
-        blocks: at least one.
+        blocks: of the space.
+        space: whose home the program enters first.
         settings: of the unit.
         name: of the program.
         static_s: rest at the beginning and at the end.
@@ -59,7 +64,8 @@ def program_of_blocks(
     static = Step(rest=Rest(static_s, "static"))
     ordered = sorted(blocks, key=lambda block: not block.is_rest)
     steps = (step for block in ordered for step in block.steps)
-    return MotionProgram(name, (static, *steps, static), settings=settings)
+    enter = space.enter_steps(DWELL_S)
+    return MotionProgram(name, (static, *enter, *steps, static), settings=settings)
 
 
 def _blocks(space: MotionSpace) -> Iterator[MotionBlock]:
@@ -141,7 +147,7 @@ def _path(
 
 
 def _speed(fastest_deg_s: float, share: float) -> float:
-    return max(MIN_SPEED_DEG_S, int(fastest_deg_s * share * 10.0) / 10.0)
+    return min(fastest_deg_s, max(MIN_SPEED_DEG_S, int(fastest_deg_s * share * 10.0) / 10.0))
 
 
 def _limited(limits: tuple[float, float], angle_deg: float) -> float:

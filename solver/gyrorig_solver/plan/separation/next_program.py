@@ -174,7 +174,7 @@ class _Design:
     def choose(self, acceleration_share: float, blocks: Iterable[MotionBlock]) -> _Choice:
         """Choose blocks in sequence, at one acceleration, by their gain in nats per second."""
         settings = self._settings(acceleration_share)
-        empty = program_of_blocks((), settings, PROGRAM_NAME)
+        empty = program_of_blocks((), self.space, settings, PROGRAM_NAME)
         fixed_s = simulate_program(empty, self._unit).duration_s
         alone_s = fixed_s - 2.0 * (STATIC_S - BLOCK_STATIC_S)
         candidates = [self._candidate(block, settings, alone_s) for block in blocks]
@@ -204,7 +204,7 @@ class _Design:
 
     def judge(self, choice: _Choice) -> NextExperiment:
         """Return the program of a choice with its exact expected results."""
-        program = program_of_blocks(choice.blocks, choice.settings, PROGRAM_NAME)
+        program = program_of_blocks(choice.blocks, self.space, choice.settings, PROGRAM_NAME)
         if not choice.blocks:
             outlooks = tuple(PairOutlook(pair.causes, 0.0, 0.0) for pair in self._pairs)
             return NextExperiment(None, 0.0, self._max_duration_s, outlooks)
@@ -226,7 +226,7 @@ class _Design:
         return PairOutlook(pair.causes, nats, float(np.mean(probabilities)))
 
     def _candidate(self, block: MotionBlock, settings: PtuSettings, fixed_s: float) -> _Candidate:
-        program = program_of_blocks((block,), settings, PROGRAM_NAME, BLOCK_STATIC_S)
+        program = program_of_blocks((block,), self.space, settings, PROGRAM_NAME, BLOCK_STATIC_S)
         simulated = simulate_recording(self._solution, program, self._unit)
         duration_s = simulate_program(program, self._unit).duration_s - fixed_s
         products = [pair for group in self._groups for pair in pair_products(simulated, group)]
