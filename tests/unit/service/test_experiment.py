@@ -2,6 +2,7 @@
 
 import json
 import resource
+import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -12,8 +13,10 @@ import pytest
 
 from gyrorig_daemon.cli import run
 from gyrorig_daemon.config import parse_rig
+from gyrorig_daemon.service import explanation_process
 from gyrorig_daemon.service.experiment import Experiment, RoundOutcome, limits_document
 from gyrorig_daemon.service.explanation_process import (
+    KILL_AFTER_S,
     MEMORY_BYTES,
     ExplanationProcess,
     ExplanationReport,
@@ -247,11 +250,26 @@ def test_the_solver_is_limited_and_its_fault_is_reported(tmp_path: Path) -> None
     process = ExplanationProcess([recording], tmp_path / "out", b"rig: r\n", 0.0, 60.0)
     pid = process._process.pid
     assert resource.prlimit(pid, resource.RLIMIT_AS) == (MEMORY_BYTES, MEMORY_BYTES)
-    assert resource.prlimit(pid, resource.RLIMIT_CPU) == (60, 60)
+    assert resource.prlimit(pid, resource.RLIMIT_CPU) == (60, 60 + KILL_AFTER_S)
     end_s = time.monotonic() + 300.0
     while not process.poll():
         assert time.monotonic() < end_s
         time.sleep(0.05)
     with pytest.raises(Exception, match=r"the recordings could not be explained: .*rig"):
+        process.report()
+    process.close()
+
+
+def test_the_limit_of_time_is_the_reason_of_an_explanation_that_it_ends(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    endless = (sys.executable, "-c", "while True: pass")
+    monkeypatch.setattr(explanation_process, "module_command", lambda *_: [*endless])
+    process = ExplanationProcess([], tmp_path / "out", b"", 0.0, 1.0)
+    end_s = time.monotonic() + 300.0
+    while not process.poll():
+        assert time.monotonic() < end_s
+        time.sleep(0.05)
+    with pytest.raises(Exception, match="it took longer than permitted"):
         process.report()
     process.close()
