@@ -91,6 +91,7 @@ def updated(rig: RigOnPtys) -> dict[str, Any]:
         "halted": rig.halts > halts and not rig.turns,
         "back_s": until(lambda: is_active(pid)),
         "enabled": enabled(),
+        "nightly": show(NIGHTLY, "ActiveState"),
         "config": CONFIG.read_text() == (OUT / "rig.yaml").read_text(),
         "program": PROGRAM.read_text().endswith("# the owner's\n"),
     }
@@ -109,6 +110,13 @@ def removed(rig: RigOnPtys) -> dict[str, Any]:
         "config": CONFIG.exists() and PROGRAM.exists(),
         "recordings": len(list((STATE / "recordings").glob("*.mcap"))),
     }
+
+
+def returned() -> dict[str, Any]:
+    """Install it again after the removal, and remove it again."""
+    result = dpkg("-i", "--force-confold", str(PACKAGE))
+    units = {"enabled": enabled(), "nightly": show(NIGHTLY, "ActiveState")}
+    return result | units | {"removed": dpkg("-r", "gyrorig")}
 
 
 def purged(before: set[str]) -> dict[str, Any]:
@@ -137,6 +145,7 @@ def main() -> None:
             results["started"] = started(rig)
             results["updated"] = updated(rig)
             results["removed"] = removed(rig)
+        results["returned"] = returned()
         results["purged"] = purged(before)
     except BaseException:
         results["fault"] = traceback.format_exc()

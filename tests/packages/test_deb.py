@@ -85,6 +85,7 @@ def test_an_update_in_motion_halts_and_starts_again(observed: dict[str, Any]) ->
     assert updated["halted"]
     assert updated["back_s"] < 30.0
     assert updated["enabled"] == ["enabled", "disabled"]  # as the owner has decided
+    assert updated["nightly"] == "inactive"
     assert (updated["config"], updated["program"]) == (True, True)
 
 
@@ -94,6 +95,14 @@ def test_a_removal_in_motion_halts_and_keeps_data(observed: dict[str, Any]) -> N
     assert removed["halted"]
     assert (removed["opt"], removed["loaded"], removed["config"]) == (False, "not-found", True)
     assert removed["recordings"] >= 2
+
+
+def test_it_returns_with_the_units_that_were_enabled(observed: dict[str, Any]) -> None:
+    returned = observed["returned"]
+    assert returned["status"] == 0, returned["said"]
+    assert returned["enabled"] == ["enabled", "disabled"]
+    assert returned["nightly"] == "inactive"
+    assert returned["removed"]["status"] == 0, returned["removed"]["said"]
 
 
 def test_a_purge_leaves_recordings_only(observed: dict[str, Any]) -> None:
