@@ -70,13 +70,15 @@ def match_segments(samples: GyroSamples, reference: AttitudeReference) -> list[A
         (np.diff(segment) != 0) | (step > MAX_BRIDGED_PERIODS * samples.period_s) | (step <= 0.0)
     )
     bounds = np.concatenate([[0], np.flatnonzero(is_gap) + 1, [time_s.size]])
+    # The tracks of all segments of the gyro are parts of the same arrays.
+    tracks = reference.rate_segments()
     segments = []
     for first, last in pairwise(bounds.tolist()):
         if last - first < MIN_BLOCKS:
             continue
         rate_spline = CubicSpline(time_s[first:last], rate[first:last])
         low, high = time_s[first] + MAX_LAG_S, time_s[last - 1] - MAX_LAG_S
-        for track in reference.rate_segments():
+        for track in tracks:
             inside = (track.begin_s >= low) & (track.end_s <= high)
             if inside.sum() >= MIN_BLOCKS:
                 segments.append(
@@ -86,28 +88,38 @@ def match_segments(samples: GyroSamples, reference: AttitudeReference) -> list[A
 
 
 def coarse_lag_s(segments: Sequence[AttitudeSegment]) -> float:
-    """Return the lag of maximum correlation of the two speeds.
+    """Return the lag of maximum correlation of the two speeds, over all segments together.
 
-    Speeds do not depend on the mount of the sensor. The steps are one reference step or 10 ms,
-    whichever is longer; the fit refines the result.
+    A single segment can be at rest, which shows no lag. Speeds do not depend on the mount of the
+    sensor. The steps are one reference step or 10 ms, whichever is longer; the fit refines the
+    result.
     """
-    longest = max(segments, key=lambda s: s.track.begin_s.size)
-    count = longest.track.begin_s.size
+    count = sum(segment.track.begin_s.size for segment in segments)
     stride = slice(None, None, max(1, count // MAX_CORRELATION_POINTS))
-    middle_s = 0.5 * (longest.track.begin_s + longest.track.end_s)[stride]
-    reference_speed = np.linalg.norm(longest.track.rate_rad_s[stride], axis=1)
+    middles_s = [0.5 * (s.track.begin_s + s.track.end_s)[stride] for s in segments]
+    reference_speed = np.concatenate(
+        [np.linalg.norm(segment.track.rate_rad_s[stride], axis=1) for segment in segments]
+    )
     # The board is never much faster than the gyro shows; larger speeds are outliers.
-    fastest = np.max(np.linalg.norm(longest.rate_spline(middle_s), axis=1))
+    fastest = np.max(_gyro_speed(segments, middles_s, 0.0))
     reference_speed = np.minimum(reference_speed, MAX_SPEED_RATIO * fastest)
     reference_speed = reference_speed - reference_speed.mean()
-    step_s = max(longest.track.step_s, 0.01)
+    step_s = max(0.01, *(segment.track.step_s for segment in segments))
     max_lag_steps = int(0.9 * MAX_LAG_S / step_s)
     lags = np.arange(-max_lag_steps, max_lag_steps + 1) * step_s
     scores = []
     for lag_s in lags:
-        gyro_speed = np.linalg.norm(longest.rate_spline(middle_s + lag_s), axis=1)
+        gyro_speed = _gyro_speed(segments, middles_s, lag_s)
         gyro_speed = gyro_speed - gyro_speed.mean()
         scores.append(
             float(reference_speed @ gyro_speed) / (float(np.linalg.norm(gyro_speed)) + 1e-30)
         )
     return float(lags[int(np.argmax(scores))])
+
+
+def _gyro_speed(
+    segments: Sequence[AttitudeSegment], middles_s: Sequence[FloatArray], lag_s: float
+) -> FloatArray:
+    """Return the speed of the gyro at the given times of each segment plus a lag, rad/s, (n,)."""
+    rates = [s.rate_spline(t + lag_s) for s, t in zip(segments, middles_s, strict=True)]
+    return np.asarray(np.linalg.norm(np.concatenate(rates), axis=1), dtype=np.float64)
