@@ -46,6 +46,8 @@ MAX_ITERATIONS = 4
 # Between two usable samples of a turn, or from its ends to the nearest one: the integral is a
 # straight line there.
 MAX_GAP_S, MAX_GAP_PERIODS = 0.1, 3.0
+# The first sample of a turn can be later than its begin by this many periods without a gap.
+MAX_END_PERIODS = 1.5
 REASON_TEXTS = {
     "x": "the recordings have no turn about the x axis of the reference; add one",
     "y": "the recordings have no turn about the y axis of the reference; add one",
@@ -175,11 +177,16 @@ def _integrate(recording: int, samples: GyroSamples, turn: KnownTurn) -> _Integr
             "turn more slowly or use a larger full scale, and record the turn again, or remove it "
             "from the import map",
         )
-    # Half a period is added at both ends, because n samples represent n periods.
-    integral = np.trapezoid(rate, time_s, axis=0) + 0.5 * samples.period_s * (rate[0] + rate[-1])
-    return _IntegratedTurn(
-        recording, turn, integral, float(time_s[-1] - time_s[0]) + samples.period_s
+    # Half a period is added at both ends, because n samples represent n periods. In a short gap at
+    # an end, the rate is that of the nearest sample.
+    begin_gap_s, end_gap_s = (
+        gap_s if gap_s > MAX_END_PERIODS * samples.period_s else 0.0
+        for gap_s in (bounds_s[1] - bounds_s[0], bounds_s[-1] - bounds_s[-2])
     )
+    added_s = np.array([[0.5 * samples.period_s + gap_s] for gap_s in (begin_gap_s, end_gap_s)])
+    integral = np.trapezoid(rate, time_s, axis=0) + np.sum(added_s * rate[[0, -1]], axis=0)
+    duration_s = float(time_s[-1] - time_s[0] + added_s.sum())
+    return _IntegratedTurn(recording, turn, integral, duration_s)
 
 
 def _rest_mean(samples: GyroSamples, interval: TimeInterval) -> FloatArray:

@@ -25,10 +25,9 @@ from gyrorig_solver.data import IntArray
 from gyrorig_solver.data.clocks.clock_map import map_clock
 from gyrorig_solver.importers.beside_unit import UnitRecording
 from gyrorig_solver.importers.import_times import check_times, nanoseconds
-from gyrorig_solver.importers.map_keys import SectionSpan
+from gyrorig_solver.importers.imported_phases import SessionPhase, find_phases
 from gyrorig_solver.importers.measured_streams import (
     MeasuredBoard,
-    MeasuredPhase,
     MeasuredStreams,
     PoseStream,
 )
@@ -58,16 +57,6 @@ class ImportSummary:
     other_boards: dict[str, int]  # their samples
 
 
-@dataclass(frozen=True, slots=True)
-class _SessionPhase:
-    """One phase of the session, from one sample of the first board to another."""
-
-    name: str  # "static" or "turn"
-    first_sample: int  # index of the first sample in it
-    last_sample: int  # of the last sample in it
-    text: str = ""
-
-
 def write_streams(
     streams: MeasuredStreams, out: Path, unit_recording: Path | None = None
 ) -> ImportSummary:
@@ -95,15 +84,14 @@ def write_streams(
     if unit_recording is not None:
         return _write_beside(streams, encoded, boards, out, unit_recording)
     first = next(iter(encoded.values()))
-    phases = sorted(
-        (_find_samples(phase, first) for phase in streams.phases),
-        key=lambda phase: (phase.first_sample, phase.last_sample),
-    )
-    arrives_in_bursts = bool(phases) and boards[0].gyro and boards[0].gyro.stamp == "arrival"
+    gyro = boards[0].gyro
+    arrives_in_bursts = bool(streams.phases) and gyro is not None and gyro.stamp == "arrival"
     sample_ns = _sample_times_ns(first) if arrives_in_bursts else first.host_time_ns
+    phases = find_phases(streams.phases, first, sample_ns)
     poses_ns, pose_notes = _pose_times_ns(streams)
     starts = [int(imu.host_time_ns[0]) for imu in encoded.values()]
-    lowest_ns = min(int(sample_ns.min()), *starts, *poses_ns[:1].tolist())
+    begins = [phase.begin_ns for phase in phases]
+    lowest_ns = min(int(sample_ns.min()), *starts, *begins, *poses_ns[:1].tolist())
     notes = [*streams.notes, *(note for imu in encoded.values() for note in imu.notes)]
     notes += pose_notes
     for board in boards:
@@ -116,6 +104,10 @@ def write_streams(
             name: replace(imu, host_time_ns=imu.host_time_ns + shift_ns)
             for name, imu in encoded.items()
         }
+        phases = [
+            replace(phase, begin_ns=phase.begin_ns + shift_ns, end_ns=phase.end_ns + shift_ns)
+            for phase in phases
+        ]
     metadata = {"gyrorig": _session_metadata(out)}
     metadata |= {f"gyrorig.board.{name}": imu.metadata for name, imu in encoded.items()}
     if streams.poses is not None and streams.poses.stamp == "arrival":
@@ -167,7 +159,7 @@ def _summary(
     path: Path,
     streams: MeasuredStreams,
     encoded: Mapping[BoardId, ImuStream],
-    phases: Sequence[_SessionPhase],
+    phases: Sequence[SessionPhase],
     notes: Sequence[str],
 ) -> ImportSummary:
     poses = streams.poses
@@ -205,37 +197,6 @@ def _session_metadata(out: Path) -> dict[str, str]:
     }
 
 
-def _find_samples(phase: MeasuredPhase, imu: ImuStream) -> _SessionPhase:
-    """Return a phase by the samples that it contains.
-
-    Raises:
-        InputError: it is outside the data, or contains too few samples.
-    """
-    span: SectionSpan = phase.span
-    first, end = 0, imu.row.size
-    if span.start is not None:
-        first = int(np.searchsorted(imu.row, span.start))
-    if span.end is not None:
-        if span.end > imu.row[-1] + 1:
-            raise InputError(
-                f"a {phase.name} section ends at row {span.end}, but the last row of the data is "
-                f"row {imu.row[-1]}",
-                "correct the end of the section in the import map",
-            )
-        end = int(np.searchsorted(imu.row, span.end))
-    if span.begin_s is not None:
-        first = max(first, int(np.searchsorted(imu.time_s, span.begin_s)))
-    if span.end_s is not None:
-        end = min(end, int(np.searchsorted(imu.time_s, span.end_s)))
-    if end - first < 2:
-        raise InputError(
-            f"the {phase.name} section from sample {first} to sample {end} contains too few "
-            "samples",
-            "correct the start and the end of the section in the import map",
-        )
-    return _SessionPhase(phase.name, first, end - 1, phase.text)
-
-
 def _sample_times_ns(imu: ImuStream) -> IntArray:
     """Return the sample times of samples that arrived in bursts, by the offline clock map.
 
@@ -255,18 +216,22 @@ def _sample_times_ns(imu: ImuStream) -> IntArray:
 def _session_messages(
     notes: Sequence[str],
     encoded: Mapping[BoardId, ImuStream],
-    phases: Sequence[_SessionPhase],
+    phases: Sequence[SessionPhase],
     sample_ns: IntArray,
 ) -> list[DatedMessage]:
     """Return the session's events; `sample_ns` are the sample times of the first board."""
-    start = min(int(sample_ns[0]), *(int(imu.host_time_ns[0]) for imu in encoded.values()))
-    end = max(int(sample_ns[-1]), *(int(imu.host_time_ns[-1]) for imu in encoded.values()))
+    hosts = [imu.host_time_ns for imu in encoded.values()]
+    begins, ends = [p.begin_ns for p in phases], [p.end_ns for p in phases]
+    start = min(int(sample_ns[0]), *(int(host_ns[0]) for host_ns in hosts), *begins)
+    end = max(int(sample_ns[-1]), *(int(host_ns[-1]) for host_ns in hosts), *ends)
     messages = [_session_event(start, EventKind.PHASE_BEGIN, "program", "")]
     messages += [_session_event(start, EventKind.NOTE, "program", text) for text in notes]
     for phase in phases:
-        begin_ns, end_ns = int(sample_ns[phase.first_sample]), int(sample_ns[phase.last_sample])
-        messages.append(_session_event(begin_ns, EventKind.PHASE_BEGIN, phase.name, phase.text))
-        messages.append(_session_event(end_ns, EventKind.PHASE_END, phase.name, phase.text))
+        for at_ns, kind in (
+            (phase.begin_ns, EventKind.PHASE_BEGIN),
+            (phase.end_ns, EventKind.PHASE_END),
+        ):
+            messages.append(_session_event(at_ns, kind, phase.name, phase.text))
     messages.append(_session_event(end, EventKind.PHASE_END, "program", ""))
     return messages
 
