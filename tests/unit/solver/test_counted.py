@@ -188,16 +188,26 @@ def samples_of(time_s: np.ndarray, rate_rad_s: np.ndarray) -> GyroSamples:
     )
 
 
-@pytest.mark.parametrize("gap_s", [3600.0, 1e8])
+@pytest.mark.parametrize("gap_s", [60.0, 300.0, 3600.0, 1e8])
 def test_a_unit_that_moved_in_a_long_gap_of_the_replies_is_unknown(gap_s: float) -> None:
-    """The effort of the spline does not grow with the gap."""
-    at_s = np.linspace(0.0, 3.98, 200)
-    steps = np.zeros((200, 2))
+    """The effort of the spline does not grow with the gap, and the motion after it is known."""
+    at_s = np.linspace(0.0, 5.98, 300)
+    steps = np.zeros((300, 2))
     steps[50:100, 0] = np.arange(50) * 10
     steps[100:, 0] = 490
     at_s[150:] += gap_s
     steps[150:, 0] += 3
-    polls = UnitPolls(at_s, at_s + 0.004, steps, np.ones((200, 2), dtype=bool))
+    steps[200:250, 0] += np.arange(50) * 10
+    steps[250:, 0] += 490
+    polls = UnitPolls(at_s, at_s + 0.004, steps, np.ones((300, 2), dtype=bool))
     reference = counted_reference(polls, (1e-3, 1e-3), "no orders")
-    assert len(reference.segments) == 1
-    assert reference.unknown_spans[-1][1] == np.inf
+    assert len(reference.segments) == 3
+    ((begin_s, end_s, _),) = reference.unknown_spans
+    assert begin_s == pytest.approx(2.93, abs=0.1)
+    assert end_s == pytest.approx(3.07 + gap_s, abs=0.1)
+    assert reference.values.size < 200  # 1,500 more with the knots of a motion in a gap of 60 s
+    after_s = gap_s + np.linspace(3.5, 5.9, 25)
+    rate = reference.evaluate(after_s, derivatives=False).rate_rad_s
+    assert np.isfinite(rate).all()
+    angle = np.interp(after_s, at_s, steps[:, 0]) * 1e-3
+    assert reference.angles_rad(after_s)[0] == pytest.approx(angle, abs=0.03)

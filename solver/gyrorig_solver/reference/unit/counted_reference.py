@@ -27,12 +27,15 @@ from gyrorig_solver.reference.unit.spline_segment import (
     find_moving_spans,
     fit_segment,
     interval_count,
+    unknown_segment,
 )
 from gyrorig_solver.reference.unit.stage_kinematics import StageRateJacobian
 
 LAG_PRIOR_STD_STEPS = 0.5 / np.sqrt(3.0)  # of the count behind the motion, within half a step
 SLOW_SPEED_STEPS_S = 100.0  # below this speed the direction of the lag is uncertain
 MAX_POLL_GAP_S = 0.25  # between two counts in motion; a longer gap can contain a ramp
+# The rates in the span of a longer gap are not used, so its spline needs no knots every 20 ms.
+MAX_SPLINE_GAP_S = 2.0
 MAX_COEFFICIENTS = 10_000  # about six minutes of motion; a solve needs 0.1 MB for each
 
 
@@ -233,7 +236,13 @@ def counted_reference(
             longest_s = float(np.max(np.diff(time_s[inside]), initial=0.0))
             if longest_s > MAX_POLL_GAP_S:
                 unknown_spans.append((begin_s, end_s, "the unit did not reply during a move"))
-            # Before the fit: its effort grows with the span, which can contain a gap of hours.
+            if longest_s > MAX_SPLINE_GAP_S:
+                segment = unknown_segment(axis, (begin_s, end_s), (counts[-1], after))
+                coefficients_left -= segment.inner_count
+                segments.append(segment)
+                counts.append(after)
+                continue
+            # Before the fit: its effort grows with the span.
             intervals = interval_count((begin_s, end_s), time_s[inside])
             if intervals + 3 - 2 * REST_COEFFICIENTS > coefficients_left:
                 explanation = "the motion is too long for a fit without commands"

@@ -164,6 +164,29 @@ def fit_segment(
     )
 
 
+def unknown_segment(
+    axis: int, span_s: tuple[float, float], counts: tuple[int, int]
+) -> SplineSegment:
+    """Return a spline with the fewest unknowns, of a motion that the counts do not show.
+
+    Its unknowns have a prior about a straight line, and no relation to those of the rests.
+
+    Args:
+        axis: 0 pan, 1 tilt.
+        span_s: beginning and end, both at rest.
+        counts: at the rests before and after.
+    """
+    intervals = 2 * REST_COEFFICIENTS
+    inner_count = intervals + 3 - 2 * REST_COEFFICIENTS
+    information = np.zeros((4, inner_count + 2))
+    information[0, 1:-1] = 1.0 / STEP_VARIANCE
+    information_vector = information[0] * np.linspace(*counts, inner_count + 2)
+    knot_spacing_s = (span_s[1] - span_s[0]) / intervals
+    return SplineSegment(
+        axis, span_s[0], knot_spacing_s, intervals, counts, information, information_vector
+    )
+
+
 def interval_count(span_s: tuple[float, float], at_s: FloatArray) -> int:
     """Return the number of intervals that `fit_segment` uses for a segment with these counts."""
     return max(2 * REST_COEFFICIENTS, int(np.ceil((span_s[1] - span_s[0]) / _knot_spacing_s(at_s))))
