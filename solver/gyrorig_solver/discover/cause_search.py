@@ -16,6 +16,7 @@ from typing import Generic
 
 from gyrorig_solver.discover.backward_elimination import eliminate_backward
 from gyrorig_solver.discover.candidate_fits import (
+    fit_best_place,
     fit_leading,
     global_p_value,
     is_lag_significant,
@@ -105,6 +106,7 @@ class _Search(Generic[Space]):
 
         A search that reaches its limit ends with the best model so far.
         """
+        self._add_always_present()
         while True:
             self._add_causes()
             self._settle()
@@ -114,6 +116,22 @@ class _Search(Generic[Space]):
             self._reviewed.append(_labels(self._space))
             if not self._replace_causes() and not self._try_weaker():
                 return self._ranked_result()
+
+    def _add_always_present(self) -> None:
+        """Add the significant causes that are always present, before causes that resemble them.
+
+        Without such a cause, the noise model is wrong too, and a comparison with this noise model
+        can prefer a cause that only resembles it.
+        """
+        for term in self._terms:
+            if not term.is_always_present:
+                continue
+            scores = scan_catalogue(self._projection, [term], self._tests)
+            scores = [score for score in scores if score.p_value < FALSE_ALARM_RATE]
+            fitted = fit_best_place(self._projection, scores)
+            if fitted is None or global_p_value(*fitted, self._tests) > FALSE_ALARM_RATE:
+                continue
+            self._try_cause(_Selection(*fitted, frozenset((term_label(term),))))
 
     def _add_causes(self) -> None:
         """Add the leading cause repeatedly, and remove causes that become redundant."""

@@ -37,6 +37,7 @@ from gyrorig_solver.discover.held_out_gain import cross_validate_causes
 from gyrorig_solver.discover.motion_space import MotionFitSpace
 from gyrorig_solver.discover.named_causes import name_cause
 from gyrorig_solver.discover.score_tests import CandidateScore
+from gyrorig_solver.discover.testable_terms import form_of
 from gyrorig_solver.estimate import ConvergedFit, NuisanceProjector, nominal_levels
 from gyrorig_solver.model import (
     DEG,
@@ -220,7 +221,8 @@ def _untestable_causes(
     untestable: list[UntestableCause] = []
     scored = {(score.term.cause, score.place) for score in scores}
     has_unit = any(state.has_angles for state in projection.states)
-    for term in terms:
+    for usual_term in terms:
+        term = form_of(usual_term, projection)
         cause = term.cause
         if term.is_of_unit and not has_unit:
             continue

@@ -8,7 +8,7 @@ from collections.abc import Iterable, Sequence
 
 from gyrorig_solver.discover.score_tests import testable_places
 from gyrorig_solver.estimate import NuisanceProjector
-from gyrorig_solver.model import Term, limit_to_recording
+from gyrorig_solver.model import Term, form_for, limit_to_recording
 from gyrorig_solver.model.catalogue import catalogue
 
 # Share of recordings without any cause in which the search may name a cause. The tests overlap: 157
@@ -38,12 +38,20 @@ def select_testable(causes: Iterable[Term], projection: NuisanceProjector) -> li
 
 
 def testable_instances(term: Term, projection: NuisanceProjector) -> list[Term]:
-    """Return a cause if it is testable, once per recording if its scope is the recording."""
+    """Return a cause if it is testable, once per recording if its scope is the recording.
+
+    The cause has its form for the projection's recordings.
+    """
     return [
         instance
-        for instance in acting_instances(term, projection)
+        for instance in acting_instances(form_of(term, projection), projection)
         if all(instance.why_not_testable(scene) is None for scene in projection.states)
     ]
+
+
+def form_of(term: Term, projection: NuisanceProjector) -> Term:
+    """Return the form of a cause for the recordings of a projection."""
+    return form_for(term, any(state.low_pass is not None for state in projection.states))
 
 
 def acting_instances(term: Term, projection: NuisanceProjector) -> list[Term]:

@@ -4,7 +4,6 @@ What to use when: `BoardFit.started` for the first fit of a board; `BoardFit.res
 from a fit with other causes. `likelihood_fit` iterates over one or more boards.
 """
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Self
@@ -224,14 +223,10 @@ class BoardFit:
 
     def _sampling(self, session: SessionFit) -> Sampling:
         """Return a recording's sampling, with the sensor's true low-pass for the noise."""
-        sampling = session.sampling
-        bandwidth_ratio = math.prod(
-            fitted_term.term.bandwidth_ratio(fitted_term.values)
-            for fitted_term in self.fitted_terms
-        )
-        if sampling.bandwidth_hz is None or bandwidth_ratio == 1.0:
-            return sampling
-        return replace(sampling, bandwidth_hz=sampling.bandwidth_hz * bandwidth_ratio)
+        bandwidth_hz = session.sampling.bandwidth_hz
+        for fitted_term in self.fitted_terms:
+            bandwidth_hz = fitted_term.term.noise_bandwidth_hz(fitted_term.values, bandwidth_hz)
+        return replace(session.sampling, bandwidth_hz=bandwidth_hz)
 
 
 def _step_session(session: SessionFit, step: FloatArray, nuisance_step: FloatArray) -> None:

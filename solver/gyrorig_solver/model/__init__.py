@@ -35,6 +35,7 @@ from gyrorig_solver.model.parameter_units import (
 )
 from gyrorig_solver.model.recording_context import STANDARD_GRAVITY_M_S2, RecordingContext, Site
 from gyrorig_solver.model.recording_scope import (
+    form_for,
     is_active_in,
     limit_to_recording,
     recording_index_of,
@@ -96,6 +97,7 @@ __all__ = [
     "factor_jacobian",
     "factorise",
     "find_term",
+    "form_for",
     "format_list",
     "format_quantity",
     "format_short",

@@ -197,6 +197,7 @@ class Term(ABC):
     ignores_clipping: bool = False  # its derivatives ignore the clipping of the rate
     derivative_step: float = DERIVATIVE_STEP  # larger if the effect changes in steps
     # Special cases of the search.
+    is_always_present: bool = False  # only its size is unknown: it is tried before all others
     template_search: TemplateSearch = "grid"
     holds_shapes: bool = False  # a fit is not smooth in the shapes: they are found like an event
     equivalent_causes: tuple[str, ...] = ()  # the same function on one of its axes
@@ -213,6 +214,7 @@ class Term(ABC):
     starts_at_typical_size: bool = False  # because the derivative is zero at size zero
     law_quantity: LawQuantity | None = None  # of the motion law; its values are pan and tilt
     attitude_form: "Term | None" = None  # replaces it with a reference of attitudes
+    form_without_bandwidth: "Term | None" = None  # replaces it if no low-pass is recorded
     reference_alternative: str = ""  # the same error in a reference of attitudes
     is_configuration_error: bool = False  # every rate is wrong with it: it is listed first
     implied_by: str = ""  # a cause that, with a positive size, already explains this one
@@ -293,9 +295,14 @@ class Term(ABC):
         """Return the standard deviation of the tilt zero that this cause makes uncertain."""
         return 0.0
 
-    def bandwidth_ratio(self, values: FloatArray) -> float:
-        """Return the true cut-off frequency of the noise over the configured one."""
-        return 1.0
+    def noise_bandwidth_hz(self, values: FloatArray, bandwidth_hz: float | None) -> float | None:
+        """Return the true cut-off frequency of the noise, in Hz; None without a low-pass.
+
+        Args:
+            values: of the cause, (k,).
+            bandwidth_hz: without this cause; None without a low-pass.
+        """
+        return bandwidth_hz
 
     def off_grid_effect(self, state: SignalState, values: FloatArray) -> FloatArray | None:
         """Return the part of the effect that the sample grid cannot represent, (blocks, 3).

@@ -17,7 +17,7 @@ from gyrorig_solver.data.samples import GyroSamples
 from gyrorig_solver.estimate import FittedTerm, SessionFit, build_series, fit_likelihood, free_term
 from gyrorig_solver.estimate.fitted_term import fixed_term
 from gyrorig_solver.estimate.thermal_order import MIN_SPAN_K, choose_order
-from gyrorig_solver.model import RecordingContext, Term, find_term, limit_to_recording
+from gyrorig_solver.model import RecordingContext, Term, find_term, form_for, limit_to_recording
 from gyrorig_solver.model.catalogue import catalogue
 from gyrorig_solver.pipeline.recording_contexts import read_contexts
 from gyrorig_solver.reference import ReferenceMotion
@@ -139,7 +139,8 @@ def _fittable_term(
             )
         if find_term(cause).polynomial_orders:
             return _polynomial_term(find_term(cause), loaded, settings)
-    return free_term(find_term(cause)), ""
+    has_bandwidth = any(samples.bandwidth_hz is not None for _, samples, _ in loaded)
+    return free_term(form_for(find_term(cause), has_bandwidth)), ""
 
 
 def _polynomial_term(

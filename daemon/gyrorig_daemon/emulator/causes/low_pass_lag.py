@@ -29,9 +29,17 @@ class LowPassLag(Cause):
 
     @classmethod
     def from_findings(cls, stated: StatedCause) -> tuple[CarriedCause, ...]:
-        """See `Cause`; findings leave the additional delay to the time offset."""
-        log_cutoff, bandwidth_hz = stated.number("log_cutoff"), stated.on_board.bandwidth_hz
-        change = math.expm1(log_cutoff)
+        """See `Cause`; findings leave the additional delay to the time offset.
+
+        Findings have the period 1/f_c instead of the logarithm of a ratio if the recording had no
+        bandwidth.
+        """
+        bandwidth_hz = stated.on_board.bandwidth_hz
+        change = (
+            1.0 / (stated.number("period") * bandwidth_hz) - 1.0
+            if stated.has("period")
+            else math.expm1(stated.number("log_cutoff"))
+        )
         return (
             CarriedCause(
                 {cls.parameter: Quantity(change, "1")},

@@ -38,6 +38,7 @@ from gyrorig_solver.estimate import (
 from gyrorig_solver.estimate.nuisance_space import OtherData
 from gyrorig_solver.model import (
     Term,
+    form_for,
     recording_index_of,
     start_values,
     value_indices,
@@ -204,12 +205,16 @@ def fitted_pairs(
         rivals: the others of the set; causes that a motion cannot show are left out.
     """
     solution = own_recordings(solution, named)
-    first = replace(named, term=catalogue()[named.term.cause], other_boards_prior=None)
+    first = replace(
+        named, term=_form_in(solution, catalogue()[named.term.cause]), other_boards_prior=None
+    )
     projector = NuisanceProjector.of_effect(solution, named, first, solution.noises)
     members = [first]
     for cause in rivals:
-        term = catalogue().get(cause)
-        if term is None or term.kind != "effect" or _is_equivalent(term, members):
+        if cause not in catalogue():
+            continue
+        term = _form_in(solution, catalogue()[cause])
+        if term.kind != "effect" or _is_equivalent(term, members):
             continue
         if any(term.why_not_testable(state) is not None for state in projector.states):
             continue
@@ -226,7 +231,7 @@ def unseen_cause(solution: ConvergedFit, cause: str) -> CausePair | None:
 
     None if no motion shows it, if it is an event, or if it is in the fit.
     """
-    term = catalogue()[cause]
+    term = _form_in(solution, catalogue()[cause])
     projector = NuisanceProjector.of_effect(solution, None, None, solution.noises)
     reasons = [term.why_not_testable(state) for state in projector.states]
     is_fitted = any(fitted.term.cause == cause for fitted in solution.fitted_terms)
@@ -236,6 +241,12 @@ def unseen_cause(solution: ConvergedFit, cause: str) -> CausePair | None:
     values = start_values(term)
     values[sizes] = [value_parameters(term)[k].typical_size for k in sizes]
     return CausePair(FittedTerm(term, values, np.array(sizes, dtype=np.int64)), None, None)
+
+
+def _form_in(solution: ConvergedFit, term: Term) -> Term:
+    """Return the form of a cause for the recordings of a fit."""
+    series = (each for session in solution.sessions for each in session.series)
+    return form_for(term, any(each.filter_bandwidth_hz is not None for each in series))
 
 
 def _is_equivalent(term: Term, members: Sequence[FittedTerm]) -> bool:
