@@ -4,6 +4,7 @@ What to use when: `predict_part` for the samples, `build_part_model` for the der
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -41,12 +42,27 @@ def predict_part(
     samples = series.samples_of_blocks(blocks)
     predicted = predict_rate(series, blocks, values.reference, values.lag_s)
     usable, effect, timing_sensitive = series.good[samples] & predicted.known, None, None
-    if state is not None:
+    sample_effect = None
+    if state is not None and _has_all_samples(state, series):
+        # An unknown low-pass changes the samples at an edge more than their mean.
+        sample_state = replace(state, instants_per_block=1)
+        sample_effect, mask = effect_and_mask(fitted_terms, sample_state)
+        effect = state.block_means(sample_effect)
+        timing_sensitive = None if mask is None else series.used_blocks(mask)
+    elif state is not None:
         effect, timing_sensitive = effect_and_mask(fitted_terms, state)
-        if timing_sensitive is not None:
-            usable = usable & ~np.repeat(timing_sensitive, series.samples_per_block)
+    if timing_sensitive is not None:
+        usable = usable & ~np.repeat(timing_sensitive, series.samples_per_block)
     measured = series.rate_rad_s(samples)
-    return PredictedPart(measured, predicted.rate, usable, effect, timing_sensitive)
+    return PredictedPart(measured, predicted.rate, usable, effect, timing_sensitive, sample_effect)
+
+
+def _has_all_samples(state: SignalState, series: Series) -> bool:
+    """Return whether a state has an instant for each of several samples of a block."""
+    return (
+        series.may_have_unrecorded_low_pass
+        and 1 < series.samples_per_block == state.instants_per_block
+    )
 
 
 def build_part_model(

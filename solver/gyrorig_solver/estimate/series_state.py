@@ -34,6 +34,7 @@ class PredictedPart:
     usable: BoolArray  # (samples,), including outliers
     effect: FloatArray | None  # (blocks, 3), of causes beyond the base model, sensor frame
     timing_sensitive: BoolArray | None = None  # (blocks,), unusable because of the causes
+    sample_effect: FloatArray | None = None  # (samples, 3); None: as `effect`
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -183,7 +184,11 @@ class SeriesState:
         samples = series.samples_of_blocks(blocks)
         residual = part.measured - part.rate @ values.gain.T - values.bias_rad_s
         if part.effect is not None:
-            residual -= np.repeat(part.effect, series.samples_per_block, axis=0)
+            residual -= (
+                np.repeat(part.effect, series.samples_per_block, axis=0)
+                if part.sample_effect is None
+                else part.sample_effect
+            )
         scaled = residual
         if relative_std is not None:
             scaled = residual / np.repeat(relative_std.values.T, series.samples_per_block, axis=0)

@@ -52,7 +52,8 @@ class SignalStateCache:
 
     def _build(self, series: Series, blocks: slice, values: FitValues, exact: bool) -> SignalState:
         instants, intervals_per_instant = instants_per_block(series), 1
-        if exact and series.samples_per_block == 1:
+        if exact and (series.samples_per_block == 1 or series.may_have_unrecorded_low_pass):
+            instants = series.samples_per_block
             intervals_per_instant = series.intervals_per_sample
         edges = series.block_edges_s(blocks, instants * intervals_per_instant) - values.lag_s
         angles = getattr(values.reference, "angles_rad", None)
