@@ -13,7 +13,7 @@ import numpy as np
 from scipy.fft import next_fast_len
 
 from gyrorig_protocol.errors import InputError
-from gyrorig_solver.data import BoolArray, FloatArray
+from gyrorig_solver.data import BoolArray, FloatArray, IntArray
 from gyrorig_solver.data.count_columns import CountArray
 from gyrorig_solver.data.samples import GyroSamples
 from gyrorig_solver.estimate.noise.noise_model import Sampling
@@ -239,12 +239,32 @@ def _fill_gaps(
 ) -> tuple[FloatArray, CountArray, BoolArray]:
     """Return times, raw rates and validity for every sample number of a segment."""
     raw = samples.counts[segment]
-    if length == raw.shape[0]:
-        return samples.time_s[segment], raw, samples.usable[segment]
     positions = samples.number[segment] - samples.number[segment.start]
+    sample_time_s = _increasing_times(samples.time_s[segment], positions, samples.period_s)
+    if length == raw.shape[0]:
+        return sample_time_s, raw, samples.usable[segment]
     filled = np.zeros((length, 3), dtype=raw.dtype)
     good = np.zeros(length, dtype=np.bool_)
     filled[positions] = raw
     good[positions] = samples.usable[segment]
-    time_s = np.interp(np.arange(length), positions, samples.time_s[segment])
+    time_s = np.interp(np.arange(length), positions, sample_time_s)
     return np.asarray(time_s, dtype=np.float64), filled, good
+
+
+def _increasing_times(time_s: FloatArray, number: IntArray, period_s: float) -> FloatArray:
+    """Return times without repeats, which a clock with slow ticks gives, shape (n,).
+
+    The first of equal times stays, and the others are interpolated to the next larger time.
+
+    Args:
+        time_s: not decreasing, (n,).
+        number: of each sample, increasing, (n,).
+        period_s: of the samples, for times after the last larger one.
+    """
+    is_new = np.concatenate([[True], np.diff(time_s) > 0.0])
+    if is_new.all():
+        return time_s
+    last = int(np.flatnonzero(is_new)[-1])
+    spread_s = np.interp(number, number[is_new], time_s[is_new])
+    spread_s[last + 1 :] = time_s[last] + (number[last + 1 :] - number[last]) * period_s
+    return np.asarray(spread_s, dtype=np.float64)

@@ -65,7 +65,11 @@ class SessionFit:
         """
         if not series:
             raise too_short_error(sampling)
-        self.sampling = replace(sampling, differentiated=reference.is_differentiated)
+        self.sampling = replace(
+            sampling,
+            differentiated=reference.is_differentiated,
+            has_several_series=len(series) > 1,
+        )
         self.reference = reference
         self.bias_rad_s, self.lag_s = np.zeros(3), 0.0
         self.fitted_terms: tuple[FittedTerm, ...] = ()

@@ -210,8 +210,8 @@ def _budget_by_data(
             for shift in statistics.absorbed
         ]
     )
-    marginal = MarginalCauses.of(statistics.information, statistics.score, influence)
     data = statistics if fit is None else fit
+    marginal = MarginalCauses.of(data.information, data.score, influence)
     return UncertaintyBudget(
         covariance=marginal.parameter_covariance,
         expected_error=marginal.expected_error,

@@ -109,7 +109,7 @@ def _is_impulse_response(
         np.arange(first * PHASES_PER_SAMPLE, (int(group[-1]) + 1) * PHASES_PER_SAMPLE)
         / PHASES_PER_SAMPLE,
         np.arange(first, group[-1] + 2),
-        np.interp(np.arange(first, group[-1] + 2), np.arange(time_s.size), time_s),
+        time_s[np.minimum(np.arange(first, group[-1] + 2), time_s.size - 1)],
     )
     direction = axis.direction[window] / deviation
     responses = _butterworth_responses(time_s[window] - start_times_s[:, None], bandwidth_hz)

@@ -42,6 +42,7 @@ class Sampling:
     bandwidth_hz: float | None
     quantum_rad_s: float
     differentiated: bool  # the reference is a differentiated attitude
+    has_several_series: bool = False  # with one bias: a reset or a long gap separates them
 
 
 def dct_frequencies_hz(n: int, rate_hz: float) -> FloatArray:
@@ -133,7 +134,12 @@ class NoiseModel:
 @lru_cache(maxsize=16)
 def _dct_unit_densities(n: int, sampling: Sampling) -> FloatArray:
     """Return the unit densities at a series' DCT frequencies, cached for all iterations."""
-    densities = unit_densities(dct_frequencies_hz(n, sampling.rate_hz), sampling)
+    frequency_hz = dct_frequencies_hz(n, sampling.rate_hz)
+    if sampling.has_several_series:
+        # The constants of the series differ by the slow noise between them. Half of the lowest
+        # frequency of a series represents it.
+        frequency_hz[0] = 0.5 * frequency_hz[1] if n > 1 else sampling.rate_hz / 4.0
+    densities = unit_densities(frequency_hz, sampling)
     densities.flags.writeable = False
     return densities
 
