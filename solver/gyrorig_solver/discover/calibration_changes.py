@@ -70,7 +70,16 @@ class CalibrationValues:
         return tuple(sorted(known_changes, key=lambda change: -change.sigma))
 
 
-def last_recording_part(parameter_shift: FloatArray, recordings: int) -> FloatArray:
-    """Return the part of the last recording, (13,), of a change of all fitted parameters."""
-    last = ParameterLayout.of([()], recordings).index(recordings - 1)
+def last_recording_part(
+    parameter_shift: FloatArray, recordings: int, offset_recording: int | None = None
+) -> FloatArray:
+    """Return the part of the last recording, (13,), of a change of all fitted parameters.
+
+    Args:
+        parameter_shift: the change.
+        recordings: their number.
+        offset_recording: take the time offset of that recording; None: of the last one.
+    """
+    layout = ParameterLayout.of([()], recordings)
+    last = layout.index(recordings - 1, offset_recording=offset_recording)
     return np.asarray(parameter_shift[last], dtype=np.float64)

@@ -10,7 +10,7 @@ import numpy as np
 
 from gyrorig_solver.data import FloatArray
 from gyrorig_solver.estimate.board_fit import BoardFit
-from gyrorig_solver.estimate.converged_fit import ConvergedFit
+from gyrorig_solver.estimate.converged_fit import ConvergedFit, last_with_offset
 from gyrorig_solver.estimate.fitted_term import FittedTerm
 from gyrorig_solver.estimate.information import PARAMETER_NAMES, add_parameter_noise
 from gyrorig_solver.estimate.observability import (
@@ -46,15 +46,15 @@ def summarize_board(
         information = add_parameter_noise(information, position, session.common_std_s)
     unit_std = layout.prior_std[layout.index(0)]
 
-    def analyse(recording: int, offset_recording: int) -> ObservabilityAnalysis:
-        keep = layout.index(recording, offset_recording=offset_recording)
+    def analyse(recording: int, offset_of: int) -> ObservabilityAnalysis:
+        keep = layout.index(recording, offset_recording=offset_of)
         reduced = eliminate_parameters(information, keep, layout.prior_std)
         analysis = analyse_scaled_observability(reduced, unit_std)
         return _add_tilt_zero_variance(analysis, board.fitted_terms, board.gain)
 
     analyses = tuple(analyse(k, k) for k in range(len(board.sessions)))
     last = len(analyses) - 1
-    last_with_offset = _last_with_offset(analyses)
+    offset_recording = last_with_offset(analyses)
     return ConvergedFit(
         names=(*PARAMETER_NAMES, *(n for b in layout.term_blocks() for n in b.parameter_names)),
         prior_std=unit_std,
@@ -62,7 +62,7 @@ def summarize_board(
             [
                 board.gain.ravel(),
                 board.sessions[last].bias_rad_s,
-                [board.sessions[last_with_offset].time_offset_s],
+                [board.sessions[offset_recording].time_offset_s],
                 *(
                     fitted_term.values[fitted_term.free_indices]
                     for fitted_term in board.fitted_terms
@@ -70,7 +70,7 @@ def summarize_board(
             ]
         ),
         observability=(
-            analyses[last] if last_with_offset == last else analyse(last, last_with_offset)
+            analyses[last] if offset_recording == last else analyse(last, offset_recording)
         ),
         sessions=board.sessions,
         fitted_terms=board.fitted_terms,
@@ -81,12 +81,6 @@ def summarize_board(
         outliers=sum(session.outliers for session in board.sessions),
         convergence=convergence,
     )
-
-
-def _last_with_offset(analyses: Sequence[ObservabilityAnalysis]) -> int:
-    """Return the last recording that shows the time offset; a rest shows only the bias."""
-    observable = [k for k, analysis in enumerate(analyses) if analysis.is_observable(TIME_OFFSET)]
-    return observable[-1] if observable else len(analyses) - 1
 
 
 def _add_tilt_zero_variance(

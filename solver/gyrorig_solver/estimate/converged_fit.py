@@ -4,10 +4,12 @@ What to use when: `ConvergedFit` is the result of `likelihood_fit` and `multi_bo
 `motion_fit` turns it into physical parameters.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from gyrorig_solver.data import BoolArray, FloatArray
 from gyrorig_solver.estimate.fitted_term import FittedTerm
+from gyrorig_solver.estimate.information import PARAMETER_NAMES
 from gyrorig_solver.estimate.noise.noise_model import NoiseModel, Spectrum
 from gyrorig_solver.estimate.observability import ObservabilityAnalysis
 from gyrorig_solver.estimate.parameter_layout import GAIN_PARAMETERS
@@ -45,6 +47,11 @@ class ConvergedFit:
         return self.convergence.converged
 
     @property
+    def offset_recording(self) -> int:
+        """The recording of the time offset: the last one that shows it. A rest does not."""
+        return last_with_offset(self.session_observability)
+
+    @property
     def gain(self) -> FloatArray:
         """G, shape (3, 3)."""
         return self.estimate[:GAIN_PARAMETERS].reshape(3, 3)
@@ -69,3 +76,10 @@ class ConvergedFit:
     def used_blocks(self) -> list[BoolArray]:
         """Return which blocks of every series are used."""
         return [used for session in self.sessions for used in session.used]
+
+
+def last_with_offset(analyses: Sequence[ObservabilityAnalysis]) -> int:
+    """Return the last recording that shows the time offset; the last one if none does."""
+    position = PARAMETER_NAMES.index("time_offset")
+    observable = [k for k, analysis in enumerate(analyses) if analysis.is_observable(position)]
+    return observable[-1] if observable else len(analyses) - 1

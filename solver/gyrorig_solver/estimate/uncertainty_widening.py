@@ -47,7 +47,9 @@ def widen_uncertainty(solution: ConvergedFit) -> tuple[ConvergedFit, float]:
         return solution, 1.0
     widened = replace(
         solution,
-        observability=_multiply(solution.observability, solution.sessions[-1], factor),
+        observability=_multiply(
+            solution.observability, solution.sessions[solution.offset_recording], factor
+        ),
         session_observability=tuple(
             _multiply(analysis, session, factor)
             for analysis, session in zip(

@@ -108,6 +108,9 @@ def linearise_fit(
         rows = [*range(GAIN_PARAMETERS), *range(first, first + SESSION_PARAMETERS), *terms]
         is_last = k == recordings - 1
         stated = widened.observability if is_last else analysis
+        if is_last:  # a rest at the end has no time offset
+            offset = GAIN_PARAMETERS + SESSION_PARAMETERS * (solution.offset_recording + 1) - 1
+            rows[GAIN_PARAMETERS + SESSION_PARAMETERS - 1] = offset
         fits.append(
             FitLinearisation(
                 information=statistics.information / chi2_factor,

@@ -22,6 +22,7 @@ from gyrorig_solver.data import BoolArray, FloatArray
 from gyrorig_solver.discover import CALIBRATION_PARAMETERS, CalibrationValues
 from gyrorig_solver.discover.calibration_changes import CALIBRATION_UNITS
 from gyrorig_solver.estimate import GAIN_PARAMETERS, SESSION_PARAMETERS, ConvergedFit
+from gyrorig_solver.estimate.uncertainty_widening import widen_uncertainty
 from gyrorig_solver.model import find_term
 from gyrorig_solver.numerics import chi2_upper_tail, score_statistic
 from gyrorig_solver.uncertainty.uncertainty_budget import UncertaintyBudget, assess_uncertainty
@@ -52,11 +53,12 @@ class GainEstimate:
             solution: the fit of this recording alone.
             with_causes: whether the uncertainty includes causes that the fit has not identified.
         """
-        calibration = CalibrationValues.of(solution)
+        widened, _ = widen_uncertainty(solution)
+        calibration = CalibrationValues.of(widened)
         base = slice(0, GAIN_PARAMETERS + SESSION_PARAMETERS)
         covariance = (
             calibration.jacobian
-            @ solution.observability.covariance[base, base]
+            @ widened.observability.covariance[base, base]
             @ calibration.jacobian.T
         )
         if with_causes:

@@ -1,7 +1,8 @@
 """Uncertainty budget of a fit: the contributions of causes that the fit has not identified."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -157,8 +158,8 @@ def assess_space(
     if not causes:
         return UncertaintyBudget(np.zeros((size, size)), np.zeros(size), (), settings)
     statistics = _joint_statistics(projector, causes)
-    recordings = len(space.recording_names)
-    return _budget_by_data(space.calibration(), recordings, statistics, causes, settings)
+    last = partial(last_recording_part, recordings=len(space.recording_names))
+    return _budget_by_data(space.calibration(), last, statistics, causes, settings)
 
 
 def _assess_causes(
@@ -180,14 +181,18 @@ def _assess_causes(
         marginals = [UnitMarginals.of(fit, unit_prior) for fit in fits]
         mixture = _corrected_mixture(calibration, marginals[-1], fits[-1], unit_prior, causes)
         return _corrected_budget(calibration, marginals, causes, settings, information, mixture)
-    recordings = len(solution.sessions)
-    budget = _budget_by_data(calibration, recordings, statistics, causes, settings, fits[-1])
+    last = partial(
+        last_recording_part,
+        recordings=len(solution.sessions),
+        offset_recording=solution.offset_recording,
+    )
+    budget = _budget_by_data(calibration, last, statistics, causes, settings, fits[-1])
     return replace(budget, unit_information=information)
 
 
 def _budget_by_data(
     calibration: CalibrationValues,
-    recordings: int,
+    stated_part: Callable[[FloatArray], FloatArray],
     statistics: ScoreStatistics,
     causes: Sequence[UnidentifiedCause],
     settings: UncertaintySettings,
@@ -197,7 +202,7 @@ def _budget_by_data(
 
     Args:
         calibration: the stated values.
-        recordings: the number of recordings in the fit.
+        stated_part: returns the part of the stated values, (13,), of a change of all parameters.
         statistics: of the causes at the fit.
         causes: those that were not identified.
         settings: prior sizes.
@@ -205,10 +210,7 @@ def _budget_by_data(
             the data.
     """
     influence = np.stack(
-        [
-            calibration.propagate(last_recording_part(shift, recordings))
-            for shift in statistics.absorbed
-        ]
+        [calibration.propagate(stated_part(shift)) for shift in statistics.absorbed]
     )
     data = statistics if fit is None else fit
     marginal = MarginalCauses.of(data.information, data.score, influence)
@@ -222,13 +224,13 @@ def _budget_by_data(
 
 
 def _with_offset_ambiguity(budget: UncertaintyBudget, solution: ConvergedFit) -> UncertaintyBudget:
-    """Add the ambiguity of a later recording's time offset that identified causes leave."""
+    """Add the ambiguity of the stated time offset that identified causes leave."""
     covariance, entries = budget.covariance.copy(), list(budget.entries)
     index = CALIBRATION_PARAMETERS.index("time_offset")
     for fitted_term in solution.fitted_terms:
         ambiguity_s = fitted_term.term.time_offset_ambiguity_s(fitted_term.values)
-        is_in_last = recording_index_of(fitted_term.term) in (None, len(solution.sessions) - 1)
-        if ambiguity_s > 0.0 and is_in_last:
+        is_stated = recording_index_of(fitted_term.term) in (None, solution.offset_recording)
+        if ambiguity_s > 0.0 and is_stated:
             std = np.zeros(len(CALIBRATION_PARAMETERS))
             std[index] = ambiguity_s
             covariance[index, index] += ambiguity_s**2

@@ -31,6 +31,7 @@ from gyrorig_solver.uncertainty import (
     UnitPosterior,
     assess_uncertainty,
     default_settings,
+    fit_linearisation,
     uncertainty_budget,
 )
 from gyrorig_solver.uncertainty.prior_effects import (
@@ -201,6 +202,44 @@ def test_a_recording_at_rest_takes_no_templates_from_the_others(
     together = assess_uncertainty(fit_base(data)).std
     alone = assess_uncertainty(leaning.fit).std
     assert together[Y] == pytest.approx(alone[Y], rel=0.5)
+
+
+@pytest.mark.long
+def test_a_rest_at_the_end_does_not_hide_the_error_of_the_time_offset(
+    tmp_path: Path, leaning: Session
+) -> None:
+    """The stated time offset is that of the survey, because a rest shows none."""
+    resting = emulate(tmp_path, "static")
+    data = load_board([leaning.recording, resting.recording], str(leaning.recording.board_ids[0]))
+    together = fit_base(data)
+    assert together.offset_recording == 0
+    offset = CALIBRATION_PARAMETERS.index("time_offset")
+    alone = assess_uncertainty(leaning.fit).std[offset]
+    assert assess_uncertainty(together).std[offset] == pytest.approx(alone, rel=0.5)
+
+
+def test_the_budget_grows_with_the_residual_as_with_a_unit_prior(
+    leaning: Session, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A prior of an unknown unit has the same sizes as the table."""
+    factor = 4.0
+    solution = leaning.fit
+    covariance = factor * solution.observability.covariance
+    wide = replace(solution.observability, covariance=covariance)
+    widened = replace(solution, observability=wide, session_observability=(wide,))
+    plain = spread(assess_uncertainty(solution))
+    monkeypatch.setattr(fit_linearisation, "widen_uncertainty", lambda _: (widened, factor))
+    by_data = spread(assess_uncertainty(solution))
+    prior = UnitPosterior.from_table(default_settings())
+    by_unit = spread(assess_uncertainty(solution, unit_prior=prior))
+    assert np.all(by_data > plain)
+    without_unit = [CALIBRATION_PARAMETERS.index(name) for name in ("misalignment.z", "bias.x")]
+    np.testing.assert_allclose(by_data[without_unit], by_unit[without_unit], rtol=0.2)
+
+
+def spread(budget: UncertaintyBudget) -> FloatArray:
+    """Return the standard deviations of a budget without its expected errors."""
+    return np.sqrt(np.diag(budget.covariance))
 
 
 NOISE = np.full(len(CALIBRATION_PARAMETERS), 1e-4)
