@@ -13,6 +13,7 @@ from gyrorig_solver.estimate.board_fit import BoardFit
 from gyrorig_solver.estimate.converged_fit import ConvergedFit, last_with_offset
 from gyrorig_solver.estimate.fitted_term import FittedTerm
 from gyrorig_solver.estimate.information import PARAMETER_NAMES, add_parameter_noise
+from gyrorig_solver.estimate.noise.rounding import bias_std_by_rounding
 from gyrorig_solver.estimate.observability import (
     ObservabilityAnalysis,
     analyse_scaled_observability,
@@ -24,6 +25,7 @@ from gyrorig_solver.estimate.parameter_layout import (
 from gyrorig_solver.estimate.trust_region import Convergence
 
 TIME_OFFSET = PARAMETER_NAMES.index("time_offset")
+BIASES = slice(GAIN_PARAMETERS, GAIN_PARAMETERS + 3)
 ROTATION_X_GENERATOR = np.array(
     [[0.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]]
 )  # d Rx(z)^T / dz
@@ -32,7 +34,7 @@ ROTATION_X_GENERATOR = np.array(
 def summarize_board(
     board: BoardFit, information: FloatArray, convergence: Convergence
 ) -> ConvergedFit:
-    """Return the result, with each recording's common shift included in its offset.
+    """Return the result, with the common shift of each recording and the rounding of its bias.
 
     Args:
         board: at the end of the iteration.
@@ -44,6 +46,10 @@ def summarize_board(
         session.release_equations()
         position = int(layout.index(recording)[TIME_OFFSET])
         information = add_parameter_noise(information, position, session.common_std_s)
+        biases = layout.index(recording)[BIASES]
+        stds_rad_s = bias_std_by_rounding(board.noises[recording])
+        for position, std_rad_s in zip(biases.tolist(), stds_rad_s.tolist(), strict=True):
+            information = add_parameter_noise(information, position, std_rad_s)
     unit_std = layout.prior_std[layout.index(0)]
 
     def analyse(recording: int, offset_of: int) -> ObservabilityAnalysis:

@@ -23,6 +23,7 @@ from gyrorig_solver.estimate.gyro_fit import (
 )
 from gyrorig_solver.estimate.initial_guess import solve_shared_gain
 from gyrorig_solver.estimate.likelihood_fit import fit_likelihood
+from gyrorig_solver.estimate.noise.rounding import is_rounded_without_dither
 from gyrorig_solver.estimate.rest_to_rest import BoardPath, CrossCheck, cross_check
 from gyrorig_solver.estimate.series import build_series
 from gyrorig_solver.estimate.session_fit import SessionFit
@@ -321,7 +322,15 @@ def _noise_remarks(solution: ConvergedFit, chi2_factor: float) -> list[str]:
     """Return remarks about noise in motion and about a multiplied covariance."""
     remarks = []
     ratio = solution.sessions[-1].noise_ratios().get("in_motion")
-    if ratio is not None:
+    rounded = is_rounded_without_dither(solution.noises[-1])
+    if rounded.any():
+        axes = ", ".join(np.array(list("xyz"))[rounded].tolist())
+        remarks.append(
+            f"the noise of the samples (axis {axes}) is less than half a count. The noise levels "
+            "are those of the rounding, and the bias has the uncertainty of a count. Select a "
+            "smaller full scale"
+        )
+    elif ratio is not None:
         remarks.append(
             "the noise in motion is "
             + ", ".join(f"{value:.2f}" for value in ratio)
