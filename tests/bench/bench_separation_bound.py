@@ -167,7 +167,7 @@ class Session:
         alone_s = self._duration_s(MotionProgram("empty", (_static(), _static())))
         motions = []
         for block in (*motion_blocks(space), *other_blocks(space, random_count)):
-            program = program_of_blocks((block,), self._settings, "block", BLOCK_STATIC_S)
+            program = program_of_blocks((block,), space, self._settings, "block", BLOCK_STATIC_S)
             try:
                 products = self._products(pair, program)
             except GyrorigError:  # the unit cannot do it
@@ -205,7 +205,8 @@ class Session:
                 trial.pop(place)
             if kind != 1 or not trial:
                 trial.insert(place, blocks[int(self._rng.integers(len(blocks)))])
-            program = program_of_blocks(trial, self._settings, "changed")
+            space = MotionSpace.of(self._unit, FASTEST_DEG_S)
+            program = program_of_blocks(trial, space, self._settings, "changed")
             if self._duration_s(program) > MAX_PROGRAM_S:
                 continue
             outlook = first_order.outlook(self._products(pair, program))

@@ -89,6 +89,7 @@ from gyrorig_solver.estimate.temperature.temperature_fit import TemperatureFit, 
 from gyrorig_solver.estimate.trust_region import Convergence
 from gyrorig_solver.estimate.turn_fit import fit_turns
 from gyrorig_solver.estimate.typical_board import TYPICAL_MOUNT, expected_estimate
+from gyrorig_solver.estimate.uncertainty_widening import widen_uncertainty
 from gyrorig_solver.estimate.whitened_signals import WhitenedSignals, join_signals
 
 __all__ = [
@@ -158,4 +159,5 @@ __all__ = [
     "total_effect",
     "unit_densities",
     "white_noise_information",
+    "widen_uncertainty",
 ]

@@ -14,8 +14,8 @@ from gyrorig_solver.estimate import (
     SESSION_PARAMETERS,
     ConvergedFit,
     ScoreStatistics,
+    widen_uncertainty,
 )
-from gyrorig_solver.estimate.uncertainty_widening import widen_uncertainty
 from gyrorig_solver.model import value_indices
 from gyrorig_solver.uncertainty.prior_effects import UnidentifiedCause
 from gyrorig_solver.uncertainty.uncertainty_settings import UncertaintySettings

@@ -21,8 +21,12 @@ import numpy as np
 from gyrorig_solver.data import BoolArray, FloatArray
 from gyrorig_solver.discover import CALIBRATION_PARAMETERS, CalibrationValues
 from gyrorig_solver.discover.calibration_changes import CALIBRATION_UNITS
-from gyrorig_solver.estimate import GAIN_PARAMETERS, SESSION_PARAMETERS, ConvergedFit
-from gyrorig_solver.estimate.uncertainty_widening import widen_uncertainty
+from gyrorig_solver.estimate import (
+    GAIN_PARAMETERS,
+    SESSION_PARAMETERS,
+    ConvergedFit,
+    widen_uncertainty,
+)
 from gyrorig_solver.model import find_term
 from gyrorig_solver.numerics import chi2_upper_tail, score_statistic
 from gyrorig_solver.uncertainty.uncertainty_budget import UncertaintyBudget, assess_uncertainty

@@ -36,7 +36,7 @@ def gain_errors(rig: Any, result: GyroFit) -> tuple[np.ndarray, np.ndarray]:
     return values - true, result.covariance[np.ix_(places, places)]
 
 
-def kept(samples: GyroSamples, is_kept: np.ndarray) -> GyroSamples:
+def samples_without_gaps(samples: GyroSamples, is_kept: np.ndarray) -> GyroSamples:
     """Return samples without some of them."""
     names = ("time_s", "host_s", "number", "segment", "rate_rad_s", "usable")
     return replace(samples, **{name: getattr(samples, name)[is_kept] for name in names})
@@ -78,7 +78,7 @@ def test_the_gain_is_as_uncertain_as_stated_if_a_wandering_bias_has_gaps(
         is_kept = np.ones(rig.time_s.size, dtype=np.bool_)
         for first in range(800, is_kept.size, 800):
             is_kept[first : first + 210] = False
-        result = fit(rig, kept(samples, is_kept))
+        result = fit(rig, samples_without_gaps(samples, is_kept))
         error, covariance = gain_errors(rig, result)
         total += float(error @ np.linalg.solve(covariance, error))
     assert stats.chi2.sf(total, 9 * SEEDS) > LOWEST_P, total
