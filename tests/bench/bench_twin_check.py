@@ -29,6 +29,8 @@ SHORT = Path(__file__).with_name("short_program.yaml")
 BIN = Path(sys.executable).parent
 LOWEST_P = 0.01  # of the test that p-values are uniform
 LIMIT = 0.01  # false alarms of one session
+MAX_RANKS = 40  # different p-values of a statistic of rare events with 20 draws
+RANKED_P = (0.05, 0.1, 0.2)
 
 
 def program_file(name: str) -> Path:
@@ -80,6 +82,10 @@ def report(rows: list[dict[str, Any]]) -> bool:
     for key in constant:
         print(f"{key}: equal in all draws and in the measurement, p = 1, in each session")
         del by_key[key]
+    for key in [key for key, values in by_key.items() if len(set(values)) <= MAX_RANKS]:
+        ranked = np.array(by_key.pop(key))
+        shares = ", ".join(f"{np.mean(ranked <= p):.3f} at most {p}" for p in RANKED_P)
+        print(f"{key}: only {len(set(ranked))} different p-values, so not uniform; {shares}")
     print(f"{len(rows)} sessions of {rows[0]['draws']} draws")
     print("statistic          n  mean p  KS distance  KS p     smallest p")
     for key, values in by_key.items():
