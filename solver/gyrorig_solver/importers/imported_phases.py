@@ -48,15 +48,14 @@ def find_phases(
     parts = sorted(
         ((*_find_samples(phase, imu), phase) for phase in phases), key=lambda part: part[:2]
     )
-    return [
-        SessionPhase(
-            phase.name,
-            _begin_ns(phase, first, imu, sample_ns),
-            _end_ns(phase, last, imu, sample_ns),
-            phase.text,
-        )
-        for first, last, phase in parts
-    ]
+    session_phases = []
+    for first, last, phase in parts:
+        begin_ns, end_ns = int(sample_ns[first]), int(sample_ns[last])
+        if phase.name == "turn":
+            begin_ns = _turn_begin_ns(phase, first, imu, sample_ns)
+            end_ns = _turn_end_ns(phase, last, imu, sample_ns)
+        session_phases.append(SessionPhase(phase.name, begin_ns, end_ns, phase.text))
+    return session_phases
 
 
 def _find_samples(phase: MeasuredPhase, imu: ImuStream) -> tuple[int, int]:
@@ -90,11 +89,9 @@ def _find_samples(phase: MeasuredPhase, imu: ImuStream) -> tuple[int, int]:
     return first, end - 1
 
 
-def _begin_ns(phase: MeasuredPhase, first: int, imu: ImuStream, sample_ns: IntArray) -> int:
-    """Return the begin of a phase: its first sample, or earlier in a gap before this sample."""
+def _turn_begin_ns(phase: MeasuredPhase, first: int, imu: ImuStream, sample_ns: IntArray) -> int:
+    """Return the begin of a turn: its first sample, or earlier in a gap before this sample."""
     first_ns, period_ns = int(sample_ns[first]), _period_ns(sample_ns)
-    if phase.name != "turn":
-        return first_ns
     stated_ns = []
     if phase.span.begin_s is not None:
         outside_s = float(imu.time_s[0]) - phase.span.begin_s
@@ -112,11 +109,9 @@ def _begin_ns(phase: MeasuredPhase, first: int, imu: ImuStream, sample_ns: IntAr
     return min(begin_ns, first_ns)
 
 
-def _end_ns(phase: MeasuredPhase, last: int, imu: ImuStream, sample_ns: IntArray) -> int:
-    """Return the end of a phase: its last sample, or later in a gap after this sample."""
+def _turn_end_ns(phase: MeasuredPhase, last: int, imu: ImuStream, sample_ns: IntArray) -> int:
+    """Return the end of a turn: its last sample, or later in a gap after this sample."""
     last_ns, period_ns = int(sample_ns[last]), _period_ns(sample_ns)
-    if phase.name != "turn":
-        return last_ns
     stated_ns = []
     if phase.span.end_s is not None:
         outside_s = phase.span.end_s - float(imu.time_s[-1])

@@ -35,7 +35,6 @@ from gyrorig_solver.model.parameter_units import (
 )
 from gyrorig_solver.model.recording_context import STANDARD_GRAVITY_M_S2, RecordingContext, Site
 from gyrorig_solver.model.recording_scope import (
-    form_for,
     is_active_in,
     limit_to_recording,
     recording_index_of,
@@ -62,6 +61,7 @@ from gyrorig_solver.model.term import (
     value_names,
     value_parameters,
 )
+from gyrorig_solver.model.term_form import form_for
 from gyrorig_solver.model.term_kinds import LinearTerm
 from gyrorig_solver.model.value_format import DEG, XYZ, format_list
 

@@ -3,10 +3,7 @@
 A board or a unit has a cause in all its recordings. A bias step or a board slip occurs in one
 recording. `limit_to_recording` makes a term whose effect is zero in all other recordings.
 
-A cause can have another form if no recording has the bandwidth of the sensor's low-pass.
-
-What to use when: `form_for` for the form of a cause in recordings with or without a bandwidth;
-`limit_to_recording` for a cause of scope `recording` if there are several
+What to use when: `limit_to_recording` for a cause of scope `recording` if there are several
 recordings; `is_active_in` before its template bank or its times are needed; `term_label` to
 distinguish it from the same cause in another recording.
 """
@@ -87,17 +84,6 @@ def limit_to_recording(term: Term, recording_index: int) -> Term:
     limited.recording_index = recording_index
     term_of_recording: Term = limited
     return term_of_recording
-
-
-def form_for(term: Term, has_bandwidth: bool) -> Term:
-    """Return the form of a cause for recordings of a board.
-
-    Args:
-        term: the cause in its usual form.
-        has_bandwidth: whether a recording has the bandwidth of the sensor's low-pass.
-    """
-    other_form = term.form_without_bandwidth
-    return term if has_bandwidth or other_form is None else other_form
 
 
 def recording_index_of(term: Term) -> int | None:
