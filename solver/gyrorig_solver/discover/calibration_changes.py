@@ -70,16 +70,14 @@ class CalibrationValues:
         return tuple(sorted(known_changes, key=lambda change: -change.sigma))
 
 
-def last_recording_part(
-    parameter_shift: FloatArray, recordings: int, offset_recording: int | None = None
-) -> FloatArray:
-    """Return the part of the last recording, (13,), of a change of all fitted parameters.
+def stated_part(parameter_shift: FloatArray, recordings: int, offset_recording: int) -> FloatArray:
+    """Return the part, (13,), of a change of all fitted parameters that the calibration states.
 
     Args:
         parameter_shift: the change.
-        recordings: their number.
-        offset_recording: take the time offset of that recording; None: of the last one.
+        recordings: their number. The calibration states the bias of the last one.
+        offset_recording: the recording whose time offset the calibration states.
     """
     layout = ParameterLayout.of([()], recordings)
-    last = layout.index(recordings - 1, offset_recording=offset_recording)
-    return np.asarray(parameter_shift[last], dtype=np.float64)
+    stated = layout.index(recordings - 1, offset_recording=offset_recording)
+    return np.asarray(parameter_shift[stated], dtype=np.float64)

@@ -13,7 +13,6 @@ import numpy as np
 from gyrorig_solver.discover.calibration_changes import (
     CALIBRATION_PARAMETERS,
     CalibrationValues,
-    last_recording_part,
 )
 from gyrorig_solver.discover.cause_findings import (
     Attribution,
@@ -32,7 +31,7 @@ from gyrorig_solver.discover.checks.redundancy import RedundancyCheck
 from gyrorig_solver.discover.checks.shared_covariate import SharedCovariateCheck
 from gyrorig_solver.discover.checks.specification_tests import SpecificationCheck
 from gyrorig_solver.discover.checks.unobservable_share import UnobservableShareCheck
-from gyrorig_solver.discover.fit_space import Space
+from gyrorig_solver.discover.fit_space import FitSpace, Space
 from gyrorig_solver.discover.held_out_gain import cross_validate_causes
 from gyrorig_solver.discover.motion_space import MotionFitSpace
 from gyrorig_solver.discover.named_causes import name_cause
@@ -49,6 +48,7 @@ from gyrorig_solver.model import (
     term_label,
     value_indices,
     value_parameters,
+    why_not_testable,
 )
 
 MOTION_CHECKS: tuple[Check[MotionFitSpace], ...] = (
@@ -127,13 +127,7 @@ def assemble_findings(
     ]
     causes += [cause for verdict in verdicts for cause in verdict.named]
     causes.sort(key=lambda cause: (-cause.parameter_bias_sigma, cause.p_value))
-    limits, untestable = find_detection_limits(
-        result.projector,
-        result.scores,
-        calibration,
-        len(space.recording_names),
-        space.terms.values(),
-    )
+    limits, untestable = find_detection_limits(space, result.projector, result.scores, calibration)
     covered = frozenset[str]().union(*(verdict.covered_causes for verdict in verdicts))
     unexplained = model.unexplained
     verdict: Verdict = "explained" if causes else "adequate"
@@ -158,27 +152,25 @@ def assemble_findings(
 
 
 def find_detection_limits(
+    space: FitSpace,
     projection: NuisanceProjector,
     scores: Sequence[CandidateScore],
     calibration: CalibrationValues,
-    recording_count: int,
-    terms: Iterable[Term],
 ) -> tuple[tuple[DetectionLimit, ...], tuple[UntestableCause, ...]]:
     """Return the minimum detectable size of each cause, and the causes that are not testable.
 
     Args:
-        projection: the nuisance projector at the last fit.
+        space: the last fit.
+        projection: the nuisance projector at that fit.
         scores: the scores of all candidates at that fit.
         calibration: the calibration of that fit.
-        recording_count: number of recordings.
-        terms: all causes, testable or not.
     """
     limits: list[DetectionLimit] = []
     untestable: list[UntestableCause] = []
-    # The calibration is that of the last recording, so causes of other recordings do not bias it.
-    scores = [
-        score for score in scores if recording_index_of(score.term) in (None, recording_count - 1)
-    ]
+    # The calibration states the bias of the last recording and the time offset of one of them.
+    # Causes of the other recordings do not bias it.
+    stated = (None, len(space.recording_names) - 1, space.offset_recording)
+    scores = [score for score in scores if recording_index_of(score.term) in stated]
     separate_causes = {score.term.cause for score in scores if score.place is not None}
     for score in scores:
         if score.place is None and score.term.cause in separate_causes:
@@ -190,11 +182,7 @@ def find_detection_limits(
             untestable.append(UntestableCause(score.term.cause, score.place, score.term.excitation))
             continue
         bias_sigma = (
-            np.abs(
-                calibration.propagate(
-                    last_recording_part(detectable.parameter_shift, recording_count)
-                )
-            )
+            np.abs(space.calibration_shift(calibration, detectable.parameter_shift))
             / calibration.std
         )
         worst = int(np.nanargmax(bias_sigma)) if np.isfinite(bias_sigma).any() else 0
@@ -211,7 +199,10 @@ def find_detection_limits(
             )
         )
     limits.sort(key=lambda limit: -limit.parameter_bias_sigma)
-    return tuple(limits), (*untestable, *_untestable_causes(terms, projection, scores))
+    return tuple(limits), (
+        *untestable,
+        *_untestable_causes(space.terms.values(), projection, scores),
+    )
 
 
 def _untestable_causes(
@@ -231,8 +222,7 @@ def _untestable_causes(
         elif term.is_noise_process:
             untestable.append(UntestableCause(cause, None, _describe_random_walk(projection)))
         elif term.kind in ("effect", "known"):
-            reasons = (term.why_not_testable(state) for state in projection.states)
-            missing = next((reason for reason in reasons if reason is not None), None)
+            missing = why_not_testable(term, projection.states)
             if missing is not None:
                 untestable.append(UntestableCause(cause, None, missing))
             elif any(c == cause for c, _ in scored):

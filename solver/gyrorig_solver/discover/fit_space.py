@@ -16,7 +16,7 @@ from dataclasses import dataclass, field
 from typing import Self, TypeVar
 
 from gyrorig_solver.data import FloatArray
-from gyrorig_solver.discover.calibration_changes import CalibrationValues
+from gyrorig_solver.discover.calibration_changes import CalibrationValues, stated_part
 from gyrorig_solver.discover.cause_findings import DependenceTest
 from gyrorig_solver.discover.exact_fit import FittedCandidate
 from gyrorig_solver.estimate import (
@@ -70,6 +70,7 @@ class FitSpace(ABC):
     terms: Mapping[str, Term]  # all causes by id, testable or not
     base_terms: tuple[str, ...]  # the terms of the base model
     recording_names: tuple[str, ...]
+    offset_recording: int  # the recording whose time offset the calibration states
     duration_s: float  # of all recordings
     fitted_terms: tuple[FittedTerm, ...]
     convergence: Convergence
@@ -112,8 +113,17 @@ class FitSpace(ABC):
     def parameter_shift(self, other: Self) -> FloatArray:
         """Return the change of G and each (b, tau) from this fit to another one, (board,).
 
-        Only the change of (b, tau) of the last recording is necessary; the others can be zero.
+        Only the part that the calibration states is necessary; the rest can be zero.
         """
+
+    def calibration_shift(
+        self, calibration: CalibrationValues, parameter_shift: FloatArray
+    ) -> FloatArray:
+        """Return the first-order change of a calibration, (13,), by one of G and each (b, tau)."""
+        recordings = len(self.recording_names)
+        return calibration.propagate(
+            stated_part(parameter_shift, recordings, self.offset_recording)
+        )
 
     @abstractmethod
     def dependence_tests(self, projector: NuisanceProjector) -> list[DependenceTest]:

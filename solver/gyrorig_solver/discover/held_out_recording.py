@@ -27,6 +27,7 @@ from gyrorig_solver.estimate import (
 from gyrorig_solver.estimate.board_fit import DERIVATIVE_REFRESH_SIGMA, OUTLIER_RETEST_SIGMA
 from gyrorig_solver.estimate.session_noise import fit_session_noise
 from gyrorig_solver.estimate.trust_region import CONVERGED_SIGMA
+from gyrorig_solver.model import why_not_testable
 
 MAX_ITERATIONS = 12
 MAX_LAG_STEP_S = 0.05  # largest change of the time offset in one step
@@ -94,7 +95,7 @@ class HeldOutRecording:
         left_out: list[FittedTerm] = []
         for extension in solution.fitted_terms:
             persists = extension.term.kind == "known" or extension.term.scope != "recording"
-            if persists and extension.term.why_not_testable(scene) is None:
+            if persists and why_not_testable(extension.term, [scene]) is None:
                 applicable.append(
                     replace(
                         extension, free_indices=np.zeros(0, dtype=np.int64), other_boards_prior=None

@@ -64,6 +64,7 @@ class MotionFitSpace(FitSpace):
         self.base_terms = (*BASE_TERMS, "time_offset", *causes)
         contexts = (session.context for session in solution.sessions)
         self.recording_names = tuple("" if c is None else c.recording_name for c in contexts)
+        self.offset_recording = solution.offset_recording
         series = (series for session in solution.sessions for series in session.series)
         self.duration_s = float(sum(np.ptp(each.time_s) for each in series))
 
@@ -98,10 +99,12 @@ class MotionFitSpace(FitSpace):
         return term.law_quantity is not None and bool(unit_references(self.solution))
 
     def parameter_shift(self, other: Self) -> FloatArray:
-        """Return the change of G and the last (b, tau) from this fit to another one, (board,)."""
+        """Return the change of G, the stated b and the stated tau to another fit, (board,)."""
         layout = ParameterLayout.of([()], len(self.solution.sessions))
         shift = np.zeros(layout.size)
-        index = layout.index(len(self.solution.sessions) - 1)
+        index = layout.index(
+            len(self.solution.sessions) - 1, offset_recording=self.offset_recording
+        )
         before, after = (fit.solution.estimate[: index.size] for fit in (self, other))
         shift[index] = after - before
         return shift

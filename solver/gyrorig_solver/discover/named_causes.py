@@ -9,7 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from gyrorig_solver.data import FloatArray
-from gyrorig_solver.discover.calibration_changes import CalibrationValues, last_recording_part
+from gyrorig_solver.discover.calibration_changes import CalibrationValues
 from gyrorig_solver.discover.candidate_fits import global_p_value
 from gyrorig_solver.discover.cause_findings import (
     FittedValue,
@@ -53,7 +53,7 @@ def name_cause(
     """
     extension, candidate = space.fitted_terms[k], ranked.candidate
     all_sizes = value_indices(extension.term, role="size")
-    left_out = last_recording_part(candidate.absorbed, len(space.recording_names))
+    left_out = space.calibration_shift(calibration, candidate.absorbed)
     number = recording_index_of(extension.term)
     return NamedCause(
         term=extension.term,
@@ -66,7 +66,7 @@ def name_cause(
         posterior=ranked.posterior,
         one_of=ranked.one_of,
         rivals=ranked.describe_rivals(),
-        changes=calibration.changes_from(calibration.values + calibration.propagate(left_out)),
+        changes=calibration.changes_from(calibration.values + left_out),
         gain=gain,
         recording=None if number is None else space.recording_names[number],
     )

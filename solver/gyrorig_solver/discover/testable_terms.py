@@ -8,7 +8,13 @@ from collections.abc import Iterable, Sequence
 
 from gyrorig_solver.discover.score_tests import testable_places
 from gyrorig_solver.estimate import NuisanceProjector
-from gyrorig_solver.model import Term, form_for, limit_to_recording
+from gyrorig_solver.model import (
+    Term,
+    form_for,
+    limit_to_recording,
+    why_not_computable,
+    why_not_testable,
+)
 from gyrorig_solver.model.catalogue import catalogue
 
 # Share of recordings without any cause in which the search may name a cause. The tests overlap: 157
@@ -45,7 +51,7 @@ def testable_instances(term: Term, projection: NuisanceProjector) -> list[Term]:
     return [
         instance
         for instance in acting_instances(form_of(term, projection), projection)
-        if all(instance.why_not_testable(scene) is None for scene in projection.states)
+        if why_not_testable(instance, projection.states) is None
     ]
 
 
@@ -66,8 +72,7 @@ def acting_instances(term: Term, projection: NuisanceProjector) -> list[Term]:
     return [
         instance
         for instance in instances
-        if instance.kind == "effect"
-        and all(instance.reason_not_testable(scene) is None for scene in projection.states)
+        if instance.kind == "effect" and why_not_computable(instance, projection.states) is None
     ]
 
 

@@ -63,6 +63,7 @@ from gyrorig_solver.model.term import (
 )
 from gyrorig_solver.model.term_form import form_for
 from gyrorig_solver.model.term_kinds import LinearTerm
+from gyrorig_solver.model.testability import why_not_computable, why_not_testable
 from gyrorig_solver.model.value_format import DEG, XYZ, format_list
 
 __all__ = [
@@ -116,5 +117,7 @@ __all__ = [
     "value_labels",
     "value_names",
     "value_parameters",
+    "why_not_computable",
+    "why_not_testable",
     "zero_signals",
 ]

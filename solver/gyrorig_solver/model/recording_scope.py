@@ -69,13 +69,6 @@ class _OneRecordingMixin:
         rows = np.asarray(parent.template_bank(state), dtype=np.float64)
         return rows if self._is_own_recording(state) else rows[:0]
 
-    def reason_not_testable(self, state: SignalState) -> str | None:
-        parent: Any = super()
-        reason: str | None = (
-            parent.reason_not_testable(state) if self._is_own_recording(state) else None
-        )
-        return reason
-
 
 def limit_to_recording(term: Term, recording_index: int) -> Term:
     """Return a cause that acts in one recording only."""

@@ -123,6 +123,16 @@ class SignalState:
             previous_direction=previous_direction,
         )
 
+    @cached_property
+    def lacks_angles(self) -> bool:
+        """Whether the board turns about unknown axes of a unit; at rest, no angle changes."""
+        return not self.has_angles and bool(self.rate_rad_s.any())
+
+    @cached_property
+    def is_at_rest(self) -> bool:
+        """Whether the board does not turn."""
+        return not (self.lacks_angles or self.moving.any())
+
     @property
     def interval_count(self) -> int:
         """The number of intervals."""

@@ -1,7 +1,8 @@
 """The interface of a physical cause: its card, its parameters and its effect on the rate.
 
 What to use when: derive a cause from one of the classes in `term_kinds`, not from `Term` directly.
-A fit uses `why_not_testable`, `effect` and `jacobian`. The search also uses `template_bank` and
+A fit uses `effect` and `jacobian`. The function `why_not_testable` of `testability` uses
+`missing_data` and `missing_excitation`. The search also uses `template_bank` and
 `tangent_signals`. Reports use the card: title, remedy, picture and so on.
 """
 
@@ -249,17 +250,23 @@ class Term(ABC):
     @property
     def is_brief(self) -> bool:
         """Whether it acts for milliseconds only: after edges of moves, as pulses or as a line."""
+        return self.needs_moves or self.template_search in ("pulses", "spectral_lines")
+
+    @property
+    def needs_moves(self) -> bool:
+        """Whether it acts after edges of moves only, so that a rest has no effect of it."""
         is_at_edges = any(name in BRIEF_COVARIATES for name in self.covariates or ())
-        return is_at_edges or self.template_search in ("pulses", "spectral_lines")
+        return is_at_edges and self.template_search not in ("pulses", "spectral_lines")
 
-    def why_not_testable(self, state: SignalState) -> str | None:
-        """Return why this recording cannot show the cause, with the remedy; None if it can."""
-        if self.is_brief and state.context.is_averaged:
-            return LONG_RECORDING.format(state.context.mean_duration_s)
-        return self.reason_not_testable(state)
+    def missing_data(self, state: SignalState) -> str | None:
+        """Return what a recording lacks to compute the effect, with the remedy; None if nothing."""
+        return NO_ANGLES if self.needs_angles and state.lacks_angles else None
 
-    def reason_not_testable(self, state: SignalState) -> str | None:
-        """Return what a recording at any sample rate lacks to show the cause; None if nothing."""
+    def missing_excitation(self, state: SignalState) -> str | None:
+        """Return why bias and gain absorb the effect, with the remedy; None if they do not.
+
+        The effect is known, but does not change in this recording. Another one can show it.
+        """
         return NO_ANGLES if self.needs_angles and not state.has_angles else None
 
     def time_offset_ambiguity_s(self, values: FloatArray) -> float:

@@ -21,6 +21,7 @@ from gyrorig_solver.model import (
     components_of,
     value_indices,
     value_parameters,
+    why_not_testable,
 )
 from gyrorig_solver.model.catalogue import catalogue
 from gyrorig_solver.numerics import detection_noncentrality
@@ -119,10 +120,10 @@ def predict_detectability(
     testable = [
         term
         for term in causes
-        if term.kind in ("effect", "known") and term.why_not_testable(states[0]) is None
+        if term.kind in ("effect", "known") and why_not_testable(term, states) is None
     ]
     missing = [
-        (term, term.why_not_testable(states[0]))
+        (term, why_not_testable(term, states))
         for term in causes
         if term.kind in ("effect", "known")
     ]

@@ -14,7 +14,7 @@ import numpy as np
 
 from gyrorig_solver.data import BoolArray, FloatArray
 from gyrorig_solver.estimate import ObservabilityAnalysis
-from gyrorig_solver.model import SignalState, Site, value_indices
+from gyrorig_solver.model import SignalState, Site, value_indices, why_not_testable
 from gyrorig_solver.model.catalogue import catalogue
 from gyrorig_solver.numerics import posterior_covariance
 from gyrorig_solver.plan.effect_information import EffectInformation
@@ -124,7 +124,7 @@ def _prior_causes(
     for name, prior in settings.prior_sizes.items():
         term = catalogue()[name]
         is_possible = term.kind == "gauge" or (
-            term.kind == "effect" and all(term.why_not_testable(s) is None for s in states)
+            term.kind == "effect" and why_not_testable(term, states) is None
         )
         templates = (
             prior_templates(term, states, prior)

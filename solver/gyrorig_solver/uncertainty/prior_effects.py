@@ -120,7 +120,7 @@ def _instances(term: Term, projector: NuisanceProjector) -> list[Term]:
     a long recording hides it.
     """
     if term.kind == "gauge":
-        return [term] if all(state.has_angles for state in projector.states) else []
+        return [] if any(state.lacks_angles for state in projector.states) else [term]
     return acting_instances(term, projector)
 
 

@@ -12,7 +12,7 @@ from gyrorig_solver.discover import (
     AttitudeFitSpace,
     CalibrationValues,
 )
-from gyrorig_solver.discover.calibration_changes import last_recording_part
+from gyrorig_solver.discover.calibration_changes import stated_part
 from gyrorig_solver.estimate import (
     GAIN_PARAMETERS,
     SESSION_PARAMETERS,
@@ -158,8 +158,9 @@ def assess_space(
     if not causes:
         return UncertaintyBudget(np.zeros((size, size)), np.zeros(size), (), settings)
     statistics = _joint_statistics(projector, causes)
-    last = partial(last_recording_part, recordings=len(space.recording_names))
-    return _budget_by_data(space.calibration(), last, statistics, causes, settings)
+    calibration = space.calibration()
+    shift = partial(space.calibration_shift, calibration)
+    return _budget_by_data(calibration, shift, statistics, causes, settings)
 
 
 def _assess_causes(
@@ -181,18 +182,20 @@ def _assess_causes(
         marginals = [UnitMarginals.of(fit, unit_prior) for fit in fits]
         mixture = _corrected_mixture(calibration, marginals[-1], fits[-1], unit_prior, causes)
         return _corrected_budget(calibration, marginals, causes, settings, information, mixture)
-    last = partial(
-        last_recording_part,
-        recordings=len(solution.sessions),
-        offset_recording=solution.offset_recording,
-    )
-    budget = _budget_by_data(calibration, last, statistics, causes, settings, fits[-1])
+
+    def shift_of(parameter_shift: FloatArray) -> FloatArray:
+        """Return the change of the calibration by one of all parameters of the fit."""
+        recordings = len(solution.sessions)
+        part = stated_part(parameter_shift, recordings, solution.offset_recording)
+        return calibration.propagate(part)
+
+    budget = _budget_by_data(calibration, shift_of, statistics, causes, settings, fits[-1])
     return replace(budget, unit_information=information)
 
 
 def _budget_by_data(
     calibration: CalibrationValues,
-    stated_part: Callable[[FloatArray], FloatArray],
+    shift_of: Callable[[FloatArray], FloatArray],
     statistics: ScoreStatistics,
     causes: Sequence[UnidentifiedCause],
     settings: UncertaintySettings,
@@ -202,16 +205,14 @@ def _budget_by_data(
 
     Args:
         calibration: the stated values.
-        stated_part: returns the part of the stated values, (13,), of a change of all parameters.
+        shift_of: returns the change of the stated values, (13,), by one of all parameters.
         statistics: of the causes at the fit.
         causes: those that were not identified.
         settings: prior sizes.
         fit: the last one of the linearised fits; without it, `statistics` has the information of
             the data.
     """
-    influence = np.stack(
-        [calibration.propagate(stated_part(shift)) for shift in statistics.absorbed]
-    )
+    influence = np.stack([shift_of(absorbed) for absorbed in statistics.absorbed])
     data = statistics if fit is None else fit
     marginal = MarginalCauses.of(data.information, data.score, influence)
     return UncertaintyBudget(

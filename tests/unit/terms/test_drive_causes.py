@@ -8,7 +8,7 @@ import pytest
 from scipy import signal
 from scipy.spatial.transform import Rotation
 
-from gyrorig_solver.model import RecordingContext, SignalState, find_term
+from gyrorig_solver.model import RecordingContext, SignalState, find_term, why_not_computable
 from gyrorig_solver.model.causes.lost_steps import LostSteps, pulse_templates
 from gyrorig_solver.model.drive_effects import apply_play, moving_average, replan_with_limits
 from gyrorig_solver.model.replanned_moves import compound_moves, simple_moves
@@ -341,7 +341,7 @@ def test_moves_with_other_limits(rig: Any, share: float, base_steps_s: float) ->
     )
     cause = "acceleration_error" if share else "base_speed_jump"
     term = find_term(cause)
-    assert term.reason_not_testable(scene) is None
+    assert why_not_computable(term, [scene]) is None
     values = np.full(2, share or base_steps_s * STEP)
     ours = term.angle_error(scene, values)  # type: ignore[attr-defined]
     fine = np.arange(0.0, 4.0, 1e-5)
@@ -403,4 +403,4 @@ def test_replanned_moves_match_the_planner(
 
 def test_motion_profiles_are_required(rig: Any) -> None:
     for cause in ("acceleration_error", "base_speed_jump"):
-        assert "record the commands too" in str(find_term(cause).reason_not_testable(rig.scene))
+        assert "record the commands too" in str(why_not_computable(find_term(cause), [rig.scene]))

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from gyrorig_solver.model import find_term
+from gyrorig_solver.model import find_term, why_not_computable
 
 Rate = Callable[[np.ndarray], np.ndarray]
 
@@ -80,7 +80,7 @@ def test_another_low_pass(rig: Any, factor: float) -> None:
 
 
 def test_a_low_pass_that_is_not_known(rig: Any) -> None:
-    assert find_term("low_pass_lag").reason_not_testable(rig.scene) is None
+    assert why_not_computable(find_term("low_pass_lag"), [rig.scene]) is None
 
 
 def test_vibration(rig: Any) -> None:

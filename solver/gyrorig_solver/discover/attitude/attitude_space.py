@@ -18,7 +18,7 @@ from gyrorig_solver.discover.attitude.cause_effects import CONVERGED, CauseEffec
 from gyrorig_solver.discover.calibration_changes import (
     CALIBRATION_PARAMETERS,
     CalibrationValues,
-    last_recording_part,
+    stated_part,
 )
 from gyrorig_solver.discover.cause_findings import DependenceTest
 from gyrorig_solver.discover.checks.residual_dependence import dependences_on
@@ -167,6 +167,7 @@ class AttitudeFitSpace(FitSpace):
         self.terms, self.base_terms = attitude_terms(), at.fit.terms
         contexts = {state.context.recording_index: state.context for state in self.base.states}
         self.recording_names = tuple(contexts[k].recording_name for k in sorted(contexts))
+        self.offset_recording = len(self.recording_names) - 1
         self.duration_s = float(sum(np.ptp(state.edges_s) for state in self.base.states))
         self.fitted_terms = () if effects is None else effects.fitted_terms
         self.convergence = CONVERGED if effects is None else effects.convergence
@@ -264,7 +265,7 @@ class AttitudeFitSpace(FitSpace):
         """
         base = self.at.calibration
         step = self._projector.best_step()[: self.at.step.size] - self.at.step
-        shift = base.propagate(last_recording_part(step, len(self.recording_names)))
+        shift = self.calibration_shift(base, step)
         return replace(base, values=base.values + shift, std=base.std * self._std_ratio())
 
     def summarize(self, warnings: Sequence[str] = ()) -> GyroFit:
@@ -280,7 +281,7 @@ class AttitudeFitSpace(FitSpace):
         pairs = [(recording.samples, recording.reference) for recording in self.at.recordings]
         base = build_outcome(self.at.solved, pairs, self.observability, self.fit.reduced_chi2)
         step = self._projector.best_step()[: self.at.step.size] - self.at.step
-        last = last_recording_part(step, len(self.recording_names))
+        last = stated_part(step, len(self.recording_names), self.offset_recording)
         layout = ParameterLayout.of([self.fitted_terms], 1)
         causes = [term.values[term.free_indices] for term in self.fitted_terms]
         outcome = replace(

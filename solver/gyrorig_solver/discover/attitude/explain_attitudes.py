@@ -17,7 +17,7 @@ from gyrorig_solver.discover.fit_explanation import assemble_findings
 from gyrorig_solver.discover.fitted_values import value_stds
 from gyrorig_solver.discover.held_out_gain import compare_residuals, cross_validate_causes
 from gyrorig_solver.estimate import GyroFit, free_term
-from gyrorig_solver.model import term_label, value_names
+from gyrorig_solver.model import term_label, value_names, why_not_testable
 
 MAX_SEARCHES = 3  # after the first one
 
@@ -135,7 +135,7 @@ def extend_attitudes(
         if cause in (fitted_term.term.cause for fitted_term in added):
             continue
         term = space.terms[cause]
-        reasons = [term.why_not_testable(state) for state in states]
+        reasons = [why_not_testable(term, [state]) for state in states]
         if all(reason is not None for reason in reasons):
             remarks.append(f"the cause {cause} was not fitted: {reasons[0]}")
             continue

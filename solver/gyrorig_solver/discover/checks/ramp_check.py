@@ -34,7 +34,8 @@ class RampCheck:
         if named.cause != acceleration:
             values = tuple(replace(value, std=np.inf) for value in named.values)
             named = replace(named, values=values)
-        if any(state.context.is_averaged for state in model.result.projector.states):
+        states = model.result.projector.states
+        if any(state.context.is_averaged and not state.is_at_rest for state in states):
             # The replies alone do not distinguish these causes, but exact rates would.
             ramp_causes = [term.cause for term in catalogue().values() if term.stage in RAMP_STAGES]
             others = tuple(cause for cause in ramp_causes if cause != named.cause)

@@ -107,7 +107,7 @@ def smooth_families(scenes: Sequence[SignalState]) -> Iterator[BasisFamily]:
     if speed is not None:  # a board at rest has no speeds
         yield _speed_family(speed)
         yield _rate_family(scenes)
-    if not all(scene.has_angles for scene in scenes):
+    if any(scene.lacks_angles for scene in scenes):
         return
     spans = _covariate_span(scenes, _pan), _covariate_span(scenes, _tilt)
     for axis, name, count in ((0, "pan", PAN_WAVES), (1, "tilt", TILT_WAVES)):
@@ -136,7 +136,7 @@ def modulated_effects(
         scenes: all parts of all recordings that it was fitted to.
     """
     covariates: list[tuple[str, Covariate]] = [("time", _time), ("speed", _speed)]
-    if all(scene.has_angles for scene in scenes):
+    if not any(scene.lacks_angles for scene in scenes):
         covariates += [("pan_angle", _pan), ("tilt_angle", _tilt)]
     for name, covariate in covariates:
         span = _covariate_span(scenes, covariate)

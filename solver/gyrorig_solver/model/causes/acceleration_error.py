@@ -51,9 +51,13 @@ class AccelerationError(AngleTerm):
         """Scan small and large errors."""
         return scan_grid(self, share=np.array([-0.2, -0.05, 0.01, 0.05, 0.2]))
 
-    def reason_not_testable(self, state: SignalState) -> str | None:
+    def missing_data(self, state: SignalState) -> str | None:
         """Return why the motion profiles are unknown, or None."""
-        return reason_without_profiles(state)
+        return missing_profiles(state)
+
+    def missing_excitation(self, state: SignalState) -> str | None:
+        """Return that the unit does not move, or None."""
+        return missing_moves(state)
 
     def describe(self, values: FloatArray) -> str:
         return (
@@ -104,13 +108,26 @@ def replan_motion(
     )
 
 
-def reason_without_profiles(state: SignalState) -> str | None:
+def missing_profiles(state: SignalState) -> str | None:
     """Return why the motion profiles are unknown, or None if they are known."""
-    if not state.has_angles:
+    if state.lacks_angles:
         return NO_ANGLES
-    if state.context.rad_per_step is None or not state.context.motion_profiles:
+    has_commands = state.context.rad_per_step is not None and state.context.motion_profiles
+    if _moves(state) and not has_commands:
         return "the recording has no commands to the unit; record the commands too"
     return None
+
+
+def missing_moves(state: SignalState) -> str | None:
+    """Return that the unit does not move, or None if it does."""
+    return None if _moves(state) else "the unit does not move; record a program that moves it"
+
+
+def _moves(state: SignalState) -> bool:
+    """Return whether an axis turns by more than a step."""
+    rad_per_step = state.context.rad_per_step
+    step_rad = 0.0 if rad_per_step is None else float(np.max(rad_per_step))
+    return bool(np.any(np.ptp(state.angle_rad, axis=1) > step_rad))
 
 
 TERM = AccelerationError()

@@ -11,7 +11,8 @@ import numpy as np
 from gyrorig_solver.data import FloatArray
 from gyrorig_solver.model.causes.acceleration_error import (
     limit_change_error,
-    reason_without_profiles,
+    missing_moves,
+    missing_profiles,
     replan_motion,
 )
 from gyrorig_solver.model.signal_state import SignalState
@@ -59,9 +60,13 @@ class BaseSpeedJump(AngleTerm):
         """Scan several base speeds."""
         return scan_grid(self, speed=DEG * np.array([0.5, 1.5, 3.0, 6.0]))
 
-    def reason_not_testable(self, state: SignalState) -> str | None:
+    def missing_data(self, state: SignalState) -> str | None:
         """Return why the motion profiles are unknown, or None."""
-        return reason_without_profiles(state)
+        return missing_profiles(state)
+
+    def missing_excitation(self, state: SignalState) -> str | None:
+        """Return that the unit does not move, or None."""
+        return missing_moves(state)
 
     def describe(self, values: FloatArray) -> str:
         return f"the moves start without a ramp at {format_list(values / DEG, PAN_TILT, 'deg/s')}"

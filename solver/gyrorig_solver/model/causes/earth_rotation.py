@@ -64,7 +64,7 @@ class EarthRotation(LinearTerm):
             None
         ]
 
-    def reason_not_testable(self, state: SignalState) -> str | None:
+    def missing_data(self, state: SignalState) -> str | None:
         """Return why the site is unknown, or None."""
         if not state.has_angles:
             return NO_ANGLES

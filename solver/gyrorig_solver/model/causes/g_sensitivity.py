@@ -58,10 +58,12 @@ class GSensitivity(LinearTerm):
             signals[column::3] = split_axes(on_all_axes(force[:, column]))
         return signals
 
-    def reason_not_testable(self, state: SignalState) -> str | None:
+    def missing_data(self, state: SignalState) -> str | None:
+        """Return that the direction of gravity is unknown, or None."""
+        return NO_ANGLES if state.lacks_angles else None
+
+    def missing_excitation(self, state: SignalState) -> str | None:
         """Return why one tilt cannot separate it from a bias, or None."""
-        if not state.has_angles:
-            return NO_ANGLES
         tilt = state.tilt_rad[state.motion_known]
         if tilt.size == 0 or float(np.ptp(tilt)) < _MIN_TILT_RANGE_RAD:
             return "the board rested at one tilt only; rest at four tilts that are far apart"
@@ -90,10 +92,14 @@ class ForceSensitivity(GSensitivity):
             signals[column::3] = split_axes(np.repeat(force[:, column : column + 1], 3, axis=1))
         return signals
 
-    def reason_not_testable(self, state: SignalState) -> str | None:
-        """Return the reason: no accelerometer, or no change of gravity; None without a reason."""
-        if not np.any(state.specific_force_m_s2):
-            return "the recording has no accelerometer data; record the accelerometer too"
+    def missing_data(self, state: SignalState) -> str | None:
+        """Return that the recording has no accelerometer data, or None."""
+        if np.any(state.specific_force_m_s2):
+            return None
+        return "the recording has no accelerometer data; record the accelerometer too"
+
+    def missing_excitation(self, state: SignalState) -> str | None:
+        """Return that the specific force hardly changes its direction, or None."""
         if float(np.ptp(state.specific_force_m_s2, axis=0).min()) < MIN_FORCE_SPAN_M_S2:
             return "the board was never turned over; hold the board in poses of all orientations"
         return None

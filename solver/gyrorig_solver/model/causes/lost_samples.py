@@ -43,7 +43,7 @@ class LostSamples(TimeTerm):
     excitation = "sequence numbers, or else starts and stops before and after the loss"
     effect_if_ignored = "the time offset is valid for only a part of the recording"
 
-    def reason_not_testable(self, state: SignalState) -> str | None:
+    def missing_data(self, state: SignalState) -> str | None:
         """Return why the sample period is unknown, or None."""
         if state.context.sample_period_s is None:
             return "the recording has no sample period; record the board's odr_hz"

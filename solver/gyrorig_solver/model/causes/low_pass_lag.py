@@ -82,7 +82,7 @@ class LowPassLag(NonlinearTerm):
         """Scan both directions, because the effect is strongly nonlinear."""
         return scan_grid(self, log_cutoff=np.array([-0.7, -0.35, -0.1, 0.1, 0.35, 0.7]))
 
-    def reason_not_testable(self, state: SignalState) -> str | None:
+    def missing_data(self, state: SignalState) -> str | None:
         """Return why no cut-off is known, or None."""
         if state.low_pass is None:
             return (
@@ -140,14 +140,14 @@ class UnrecordedLowPass(LowPassLag):
         instants = state.instants_per_block * state.intervals_per_instant
         return scan_grid(self, period=SCANNED_PERIODS * state.step_s * instants)
 
-    def reason_not_testable(self, state: SignalState) -> str | None:
+    def missing_data(self, state: SignalState) -> str | None:
         """Return why the motion does not show the filter, or None.
 
         Attitudes have another bandwidth, and no other cause of a reference without angles rounds
         the edges.
         """
         if not state.has_angles:
-            return super().reason_not_testable(state)
+            return super().missing_data(state)
         if state.low_pass is not None:
             return (
                 "only some of the recordings have a bandwidth of the low-pass filter; record the "

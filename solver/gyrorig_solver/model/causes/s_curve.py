@@ -9,7 +9,7 @@ sign separates it from a compliant base.
 import numpy as np
 
 from gyrorig_solver.data import FloatArray
-from gyrorig_solver.model.causes.acceleration_error import reason_without_profiles
+from gyrorig_solver.model.causes.acceleration_error import missing_moves, missing_profiles
 from gyrorig_solver.model.drive_effects import moving_average
 from gyrorig_solver.model.signal_state import SignalState
 from gyrorig_solver.model.term import EDGE_COVARIATES, size_parameter
@@ -48,9 +48,13 @@ class SCurve(AngleTerm):
         """Scan several lengths; there is no derivative at zero."""
         return scan_grid(self, length=np.array([0.01, 0.02, 0.04, 0.08, 0.16]))
 
-    def reason_not_testable(self, state: SignalState) -> str | None:
+    def missing_data(self, state: SignalState) -> str | None:
         """Return why the motion profiles are unknown, or None; counts contain the rounding."""
-        return reason_without_profiles(state)
+        return missing_profiles(state)
+
+    def missing_excitation(self, state: SignalState) -> str | None:
+        """Return that the unit does not move, or None."""
+        return missing_moves(state)
 
     def describe(self, values: FloatArray) -> str:
         return (

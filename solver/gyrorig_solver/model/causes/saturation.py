@@ -71,7 +71,7 @@ class Saturation(NonlinearTerm):
             limits = np.unique(np.concatenate([limits, (1.0 + FINE_STEP) ** -steps]))
         return scan_grid(self, shortfall=1.0 - limits)
 
-    def reason_not_testable(self, state: SignalState) -> str | None:
+    def missing_data(self, state: SignalState) -> str | None:
         """Return why the range is unknown, or None."""
         if state.context.full_scale_rad_s is None:
             return "the recording has no full scale; record the board's gyro_full_scale_dps"

@@ -80,7 +80,7 @@ class SupplyHum(LinearTerm):
 class OutOfBandHum(SupplyHum):
     """Hum that cannot be tested, because mains lines are faster than a reference of attitudes."""
 
-    def reason_not_testable(self, state: SignalState) -> str | None:
+    def missing_data(self, state: SignalState) -> str | None:
         """Return that the reference has only slow rates."""
         del state
         return "the fit compares only slow rates with the reference; record the board at rest"

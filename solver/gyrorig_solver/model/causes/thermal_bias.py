@@ -78,9 +78,13 @@ class ThermalBias(LinearTerm):
         measured = state.measure_sensor_rate(on_all_axes(powers))
         return split_axes(measured)
 
-    def reason_not_testable(self, state: SignalState) -> str | None:
-        """Return why there is no temperature signal, or None."""
-        return reason_without_temperature(state)
+    def missing_data(self, state: SignalState) -> str | None:
+        """Return that the recording has no temperature, or None."""
+        return missing_temperature(state)
+
+    def missing_excitation(self, state: SignalState) -> str | None:
+        """Return that the temperature hardly changes, or None."""
+        return missing_warming(state)
 
     def with_order(self, order: int) -> "ThermalBias":
         """Return the cause with a polynomial of this order."""
@@ -110,11 +114,17 @@ def die_temperature_rise(state: SignalState, lag_s: float) -> FloatArray:
     )
 
 
-def reason_without_temperature(state: SignalState) -> str | None:
-    """Return why thermal causes cannot be tested, or None if they can."""
+def missing_temperature(state: SignalState) -> str | None:
+    """Return that the recording has no temperature, or None if it has."""
     if state.context.temperature is None:
         return "the recording has no temperature; record the temperature of the board"
-    span = state.context.temperature.span_k
+    return None
+
+
+def missing_warming(state: SignalState) -> str | None:
+    """Return that the temperature hardly changes, or None if it does."""
+    temperature = state.context.temperature
+    span = 0.0 if temperature is None else temperature.span_k
     if span < MIN_TEMPERATURE_SPAN_K:
         return f"the temperature changed by only {span:.1f} K; warm the board by at least 10 K"
     return None

@@ -8,7 +8,8 @@ from gyrorig_protocol.profile import SensorProfile
 from gyrorig_solver.data import FloatArray
 from gyrorig_solver.model.causes.thermal_bias import (
     die_temperature_rise,
-    reason_without_temperature,
+    missing_temperature,
+    missing_warming,
 )
 from gyrorig_solver.model.signal_arrays import split_axes
 from gyrorig_solver.model.signal_state import SignalState
@@ -42,9 +43,13 @@ class ThermalScale(LinearTerm):
             )
         )
 
-    def reason_not_testable(self, state: SignalState) -> str | None:
-        """Return why there is no temperature signal, or None."""
-        return reason_without_temperature(state)
+    def missing_data(self, state: SignalState) -> str | None:
+        """Return that the recording has no temperature, or None."""
+        return missing_temperature(state)
+
+    def missing_excitation(self, state: SignalState) -> str | None:
+        """Return that the temperature hardly changes, or None."""
+        return missing_warming(state)
 
     def data_sheet_limit(self, parameter: str, profile: SensorProfile) -> float | None:
         """Return the drift of the sensitivity, ppm/K."""

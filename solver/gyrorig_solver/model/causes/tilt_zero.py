@@ -51,7 +51,7 @@ class TiltZero(NonlinearTerm):
             None
         ]
 
-    def reason_not_testable(self, state: SignalState) -> str | None:
+    def missing_data(self, state: SignalState) -> str | None:
         """Return why the gyroscope cannot show it."""
         return (
             "the rates cannot separate an error of the tilt zero from the misalignment about x; "

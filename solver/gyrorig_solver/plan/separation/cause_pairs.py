@@ -43,6 +43,7 @@ from gyrorig_solver.model import (
     start_values,
     value_indices,
     value_parameters,
+    why_not_testable,
 )
 from gyrorig_solver.model.catalogue import catalogue
 
@@ -216,7 +217,7 @@ def fitted_pairs(
         term = _form_in(solution, catalogue()[cause])
         if term.kind != "effect" or _is_equivalent(term, members):
             continue
-        if any(term.why_not_testable(state) is not None for state in projector.states):
+        if why_not_testable(term, projector.states) is not None:
             continue
         fitted = _fit_rival(projector, term)
         if fitted is not None:
@@ -233,9 +234,9 @@ def unseen_cause(solution: ConvergedFit, cause: str) -> CausePair | None:
     """
     term = _form_in(solution, catalogue()[cause])
     projector = NuisanceProjector.of_effect(solution, None, None, solution.noises)
-    reasons = [term.why_not_testable(state) for state in projector.states]
+    is_testable = why_not_testable(term, projector.states) is None
     is_fitted = any(fitted.term.cause == cause for fitted in solution.fitted_terms)
-    if term.kind != "effect" or any(reasons) or is_fitted or value_indices(term, role="event"):
+    if term.kind != "effect" or not is_testable or is_fitted or value_indices(term, role="event"):
         return None
     sizes = value_indices(term, role="size")
     values = start_values(term)
