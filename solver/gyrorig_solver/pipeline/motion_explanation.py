@@ -17,7 +17,7 @@ from gyrorig_solver.pipeline.board_results import (
     check_fitted_gain,
     check_raw_streams,
 )
-from gyrorig_solver.pipeline.prepare_board import prepare_held_out, stage_level
+from gyrorig_solver.pipeline.prepare_board import last_stage_level, prepare_held_out
 from gyrorig_solver.report.report_series import series_of_explanation
 
 
@@ -67,7 +67,8 @@ def _setup_remarks(data: BoardData, fit_explanation: FitExplanation) -> list[str
     """Describe the stage's level, and the bias and time offset of each of several recordings."""
     remarks = []
     sessions = fit_explanation.solution_extended.sessions
-    level = stage_level(data.samples[-1], sessions[-1].reference)
+    references = [session.reference for session in sessions]
+    level = last_stage_level(zip(data.samples, references, strict=True))
     if level is not None:
         remarks.append(level_sentence(level_record(level)))
     if len(data.recordings) > 1:

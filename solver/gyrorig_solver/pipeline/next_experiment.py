@@ -35,7 +35,8 @@ def with_next_experiment(
     if max_duration_s <= 0.0:
         return explanation
     fit_explanation = explanation.fit_explanation
-    if fit_explanation is None or not explanation.recordings[-1].ptu_positions().size:
+    has_unit = any(recording.ptu_positions().size for recording in explanation.recordings)
+    if fit_explanation is None or not has_unit:
         reason = "the recordings have no motion unit"
         return _with_reason(explanation, reason) if unseen else explanation
     try:
@@ -64,14 +65,14 @@ def next_experiment(
     Args:
         recordings: of the explanation.
         explanation: the search for causes in these recordings.
-        rig: with further limits; its unit counts only if the last recording does not state one.
+        rig: with further limits; its unit counts only if the recordings do not state one.
         max_duration_s: of the program.
         unseen: causes that the program must show at their typical size.
 
     Raises:
         UsageError: the limits of the rig allow no motion, or the program leaves those of the unit.
     """
-    unit = _unit_of_recording(recordings[-1], explanation)
+    unit = _unit_of_recording(recordings, explanation)
     if unit is not None and rig is not None:
         unit = apply_limits(unit, rig.limits, f"the rig file of {rig.name}")
     if unit is None and rig is not None:
@@ -79,11 +80,17 @@ def next_experiment(
     return None if unit is None else propose_program(explanation, unit, max_duration_s, unseen)
 
 
-def _unit_of_recording(recording: Recording, explanation: FitExplanation) -> UnitModel | None:
-    """Return the unit that a recording states, with the signs of its fit; None if it is unknown."""
-    metadata = recording.metadata.get(PTU_METADATA)
+def _unit_of_recording(
+    recordings: Sequence[Recording], explanation: FitExplanation
+) -> UnitModel | None:
+    """Return the unit that the last recording with motion states, with the signs of its fit.
+
+    None if it is unknown.
+    """
+    solution = explanation.solution_extended
+    metadata = recordings[solution.offset_recording].metadata.get(PTU_METADATA)
     unit = None if metadata is None else recorded_unit(metadata)
-    reference = explanation.solution_extended.sessions[-1].reference
+    reference = solution.sessions[solution.offset_recording].reference
     if unit is None or not isinstance(reference, PanTiltReference):
         return unit
     pan_sign, tilt_sign = (int(np.sign(step_rad)) for step_rad in reference.rad_per_step)

@@ -5,7 +5,7 @@ together with other boards (`criticised_fit`); `fit_base` for the fit from which
 causes starts; `prepare_held_out` for a recording on which a fitted model is tested.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from gyrorig_protocol.errors import InputError
@@ -60,7 +60,8 @@ class PreparedBoard:
         remedies = {**self.remedies, **self.selection.remedies}
         all_warnings = (*self.warnings, *self.selection.remarks, *warnings)
         fit = summarize_motion_fit(solution, samples, remedies, all_warnings, sharing)
-        return replace(fit, level=stage_level(*self.sessions[-1][1:]))
+        pairs = [(samples, reference) for _, samples, reference in self.sessions]
+        return replace(fit, level=last_stage_level(pairs))
 
 
 def prepare_board(
@@ -123,7 +124,15 @@ def prepare_held_out(
     return HeldOutRecording(create_session(usable, motion, own_context), recording.path.name)
 
 
-def stage_level(samples: GyroSamples, reference: ReferenceMotion) -> LevelEstimate | None:
+def last_stage_level(
+    recordings: Iterable[tuple[GyroSamples, ReferenceMotion]],
+) -> LevelEstimate | None:
+    """Return the stage's level in the last recording that shows it; None if none does."""
+    levels = (_stage_level(*recording) for recording in reversed(list(recordings)))
+    return next((level for level in levels if level is not None), None)
+
+
+def _stage_level(samples: GyroSamples, reference: ReferenceMotion) -> LevelEstimate | None:
     """Estimate the stage's level from the accelerometer; None if it cannot be estimated."""
     if not isinstance(reference, PanTiltReference) or samples.number.size > MAX_SAMPLES_FOR_LEVEL:
         return None

@@ -17,7 +17,7 @@ import numpy as np
 from gyrorig_solver.data import FloatArray
 from gyrorig_solver.discover.checks.windowed_signals import (
     WindowFunction,
-    group_windows,
+    Windows,
     windowed_statistics,
 )
 from gyrorig_solver.estimate import (
@@ -52,7 +52,7 @@ class BasisFamily:
     description: str  # for example "on pan (the gain changes)"
     signals: tuple[SignalFunction, ...]  # each function returns some of the k signals
     detail: FloatArray  # (k,), half waves of each signal: 1 is the smoothest
-    windows_s: FloatArray | None = None  # (k, 2), outside of which each signal is zero
+    windows: Windows | None = None  # k windows, outside of which each signal is zero
     windows_sum: WindowFunction | None = None  # the sum of the signals of some windows
 
     def statistics(self, projection: NuisanceProjector) -> ScoreStatistics:
@@ -66,9 +66,9 @@ class BasisFamily:
 
     def screen(self, projection: NuisanceProjector) -> ScoreStatistics | None:
         """Return statistics of nearly the same signals at little cost, or None."""
-        if self.windows_s is None or self.windows_sum is None:
+        if self.windows is None or self.windows_sum is None:
             return None
-        return windowed_statistics(projection, self.windows_sum, self.windows_s)
+        return windowed_statistics(projection, self.windows_sum, self.windows)
 
     def whitened_sum(self, projection: NuisanceProjector, sizes: FloatArray) -> FloatArray:
         """Return the sum of the family's signals times sizes (k,), whitened, (all,)."""
@@ -292,45 +292,45 @@ def _rate_family(scenes: Sequence[SignalState]) -> BasisFamily:
 
 def _move_families(scenes: Sequence[SignalState]) -> Iterator[BasisFamily]:
     """Yield families of the moves: time since start or stop, and each move separately."""
-    courses = scenes[0].context.motion_profiles
-    if not courses:
+    moved_axes = {axis for scene in scenes for axis, _ in scene.context.motion_profiles}
+    if not moved_axes:
         return
     for axis, name in ((0, "pan"), (1, "tilt")):
-        profiles = [course for moved, course in courses if moved == axis]
-        if profiles:
-            begin = np.array([float(c.start_s[0]) for c in profiles])
-            end = np.array([float(c.end_s) for c in profiles])
+        if axis in moved_axes:
             yield BasisFamily(
                 f"{name}_transient",
                 f"on the time since {name} starts or stops",
-                (partial(_edge_transients, axis, begin, end),),
+                (partial(_edge_transients, axis),),
                 np.tile(_wave_numbers(EDGE_WAVES), 3),
             )
-    spans = group_windows(np.array([(float(c.start_s[0]), float(c.end_s)) for _, c in courses]))
+    windows = Windows.of_moves(scenes)
     for delay, name in ((False, "gain"), (True, "delay")):
         # The signals are many, so only a few of them are in memory unwhitened at a time.
         each = tuple(
-            partial(_per_move_signals, spans[at : at + MOVES_PER_BATCH], delay)
-            for at in range(0, len(spans), MOVES_PER_BATCH)
+            partial(_per_move_signals, windows[at : at + MOVES_PER_BATCH], delay)
+            for at in range(0, len(windows), MOVES_PER_BATCH)
         )
         yield BasisFamily(
             f"move_{name}",
             f"on the move (the {name} changes)",
             each,
-            np.ones(len(spans)),
-            spans + np.array([0.0, MOVE_AFTERMATH_S]),
+            np.ones(len(windows)),
+            windows.extended(MOVE_AFTERMATH_S),
             partial(_moves_signal, delay),
         )
     yield BasisFamily(
         "move_gain",
         "on the time since a move began (the gain changes)",
-        (partial(_gain_since_move_start, np.sort(spans[:, 0])),),
+        (partial(_gain_since_move_start, windows),),
         _wave_numbers(EDGE_WAVES),
     )
 
 
-def _gain_since_move_start(begin: FloatArray, scene: SignalState) -> FloatArray:
+def _gain_since_move_start(moves: Windows, scene: SignalState) -> FloatArray:
     """Return a gain that depends on the time since an axis started to move."""
+    begin = np.sort(moves[moves.in_recording_of(scene)].spans_s[:, 0])
+    if not begin.size:
+        return zero_signals(EDGE_WAVES, scene.block_count)
     last = np.searchsorted(begin, scene.time_s, side="right") - 1
     since = np.where(last >= 0, scene.time_s - begin[np.maximum(last, 0)], EDGE_WINDOW_S)
     return scene.sample_output(_edge_basis(since)[:, :, None] * scene.filtered_rad_s)
@@ -346,9 +346,7 @@ def _edge_basis(elapsed_s: FloatArray) -> FloatArray:
     )
 
 
-def _edge_transients(
-    axis: int, begin: FloatArray, end: FloatArray, scene: SignalState
-) -> FloatArray:
+def _edge_transients(axis: int, scene: SignalState) -> FloatArray:
     """Return transients of the time since starts and stops, on a logarithmic scale.
 
     They are rates with the sign of the move after starts and after stops, and a gain after starts.
@@ -361,10 +359,13 @@ def _edge_transients(
     along = (scene.gain @ stage.T).T
     delta = np.diff(scene.angle_rad[axis])
     signals = zero_signals(3, EDGE_WAVES, scene.interval_count)
-    for k, (first, last) in enumerate(zip(begin, end, strict=True)):
+    profiles = [course for moved, course in scene.context.motion_profiles if moved == axis]
+    begin = [float(course.start_s[0]) for course in profiles]
+    for k, (first, course) in enumerate(zip(begin, profiles, strict=True)):
+        last = float(course.end_s)
         inside = slice(*np.searchsorted(scene.time_s, (first, last)))
         sign = float(np.sign(np.sum(delta[inside])))
-        until = begin[k + 1] if k + 1 < begin.size else np.inf
+        until = begin[k + 1] if k + 1 < len(begin) else np.inf
         for edge, stop in ((first, until), (last, until)):
             near = slice(*np.searchsorted(scene.time_s, (edge, min(edge + EDGE_WINDOW_S, stop))))
             waves = _edge_basis(scene.time_s[near] - edge)[:, :, None]
@@ -374,21 +375,22 @@ def _edge_transients(
     return scene.sample_output(signals.reshape(-1, scene.interval_count, 3, copy=False))
 
 
-def _per_move_signals(spans: FloatArray, delay: bool, scene: SignalState) -> FloatArray:
+def _per_move_signals(moves: Windows, delay: bool, scene: SignalState) -> FloatArray:
     """Return one signal per move, (moves, blocks, 3)."""
     signal = scene.filtered_slope_rad_s2 if delay else scene.filtered_rad_s
-    signals = zero_signals(len(spans), scene.interval_count)
-    for k, (begin, end) in enumerate(spans):
+    signals = zero_signals(len(moves), scene.interval_count)
+    for k in moves.in_recording_of(scene).tolist():
+        begin, end = moves.spans_s[k]
         near = slice(*np.searchsorted(scene.time_s, (begin, end + MOVE_AFTERMATH_S)))
         signals[k, near] = signal[near]
     return scene.sample_output(signals)
 
 
-def _moves_signal(delay: bool, windows_s: FloatArray, scene: SignalState) -> FloatArray:
+def _moves_signal(delay: bool, windows: Windows, scene: SignalState) -> FloatArray:
     """Return the sum of the signals of moves whose windows do not overlap, (1, blocks, 3)."""
     signal = scene.filtered_slope_rad_s2 if delay else scene.filtered_rad_s
     signals = zero_signals(1, scene.interval_count)
-    for window_s in windows_s:
+    for window_s in windows.spans_s[windows.in_recording_of(scene)]:
         near = slice(*np.searchsorted(scene.time_s, window_s))
         signals[0, near] = signal[near]
     return scene.sample_output(signals)

@@ -233,7 +233,8 @@ def nonparametric_specification_test(
 
 def _is_below_one_step(space: FitSpace, projector: NuisanceProjector, k: int) -> bool:
     """Return whether a loss is significantly smaller than one step, which is not possible."""
-    rad_per_step = projector.states[0].context.rad_per_step
+    steps = (state.context.rad_per_step for state in projector.states)
+    rad_per_step = next((step for step in steps if step is not None), None)
     if rad_per_step is None:
         return False
     extension, stds = space.fitted_terms[k], value_stds(space, k)

@@ -19,7 +19,7 @@ from gyrorig_protocol.program import MotionProgram, PtuSettings
 from gyrorig_solver.discover import FitExplanation
 from gyrorig_solver.discover.cause_ranking import nats_for_sole_name
 from gyrorig_solver.discover.testable_terms import FALSE_ALARM_RATE, count_tests
-from gyrorig_solver.estimate import ConvergedFit
+from gyrorig_solver.estimate import ConvergedFit, SessionFit
 from gyrorig_solver.model import term_label
 from gyrorig_solver.model.catalogue import catalogue
 from gyrorig_solver.numerics import chi2_quantile
@@ -110,7 +110,7 @@ def propose_program(
         None if no cause is ambiguous or unseen, or the reference is not a pan-tilt unit.
     """
     solution = judged_by_typical_noise(explanation.solution_extended)
-    if not isinstance(solution.sessions[-1].reference, PanTiltReference):
+    if not isinstance(_last_motion(solution).reference, PanTiltReference):
         return None
     groups = ambiguous_groups(explanation, solution)
     alone = {cause: unseen_cause(solution, cause) for cause in unseen}
@@ -287,8 +287,13 @@ def _needed_nats(threshold_nats: float) -> float:
     return float(0.25 * (root + np.sqrt(root**2 + 4.0 * threshold_nats)) ** 2)
 
 
+def _last_motion(solution: ConvergedFit) -> SessionFit:
+    """Return the fit of the last recording that moves."""
+    return solution.sessions[solution.offset_recording]
+
+
 def _fastest_deg_s(solution: ConvergedFit) -> float:
-    context = solution.sessions[-1].context
+    context = _last_motion(solution).context
     full_scale = None if context is None else context.full_scale_rad_s
     limit = DEFAULT_FULL_SCALE_DEG_S if full_scale is None else float(np.degrees(full_scale))
     return limit * USABLE_RANGE_SHARE

@@ -82,7 +82,7 @@ def simulate_recording(
     Raises:
         UsageError: a step leaves the unit's limits or speeds.
     """
-    last = solution.sessions[-1]
+    last = solution.sessions[solution.offset_recording]  # a rest has no noise in motion
     timeline = simulate_program(program, unit)
     reference = simulate_reference(timeline, unit)
     if isinstance(last.reference, PanTiltReference):
@@ -94,7 +94,9 @@ def simulate_recording(
     session.fitted_terms = solution.fitted_terms
     session.update_prediction(solution.gain, detect_outliers=False, new_derivatives=True)
     session.take_motion_noise(last.motion_noise)
-    return replace(solution, sessions=(session,), noises=(solution.noises[-1],))
+    return replace(
+        solution, sessions=(session,), noises=(solution.noises[solution.offset_recording],)
+    )
 
 
 def _series_like(series: Series, duration_s: float) -> Series:
