@@ -20,6 +20,7 @@ from gyrorig_protocol.suggestions import list_closest
 from gyrorig_solver.data.arrays import BoolArray, FloatArray, IntArray
 from gyrorig_solver.data.clocks import ClockMap, map_clock
 from gyrorig_solver.data.clocks.clock_faults import CounterArray
+from gyrorig_solver.data.clocks.counted_samples import has_shared_times, map_sample_counter
 from gyrorig_solver.data.clocks.latency_bounds import (
     LatencyBounds,
     NearestSamples,
@@ -162,9 +163,14 @@ def load_samples(recording: Recording, board: str) -> GyroSamples:
         )
     origin_ns = int(raw.host_time_ns[0])
     host_s = _seconds_in_place(raw.host_time_ns, origin_ns)
-    pings = _read_pings(recording, board, origin_ns)
+    counts_samples = has_shared_times(raw.device_time, raw.sequence)
+    pings = None if counts_samples else _read_pings(recording, board, origin_ns)
     nearest_samples = NearestSamples.of(pings, raw.device_time, host_s) if pings else None
-    clock = _map_board_clock(raw.device_time, host_s, raw.sequence, metadata)
+    clock = (
+        map_sample_counter(raw.sequence, host_s)
+        if counts_samples
+        else _map_board_clock(raw.device_time, host_s, raw.sequence, metadata)
+    )
     latency_bounds = _read_latency_bounds(pings, nearest_samples, clock, metadata)
     numbering = number_samples(raw.sequence, clock.time_s, clock.segment, overwrite=True)
     _subtract_latency(clock.time_s, latency_bounds)

@@ -55,9 +55,9 @@ def test_the_tests_of_the_residual_are_those_of_the_survey(hidden: Callable[...,
         MotionFitSpace(fit_base_model(chosen, survey.board))
         for chosen in ([survey.recording], [resting.recording, survey.recording])
     )
-    expected, found = (_statistics_of_moves(space) for space in (alone, together))
+    expected, measured = (_statistics_of_moves(space) for space in (alone, together))
     assert len(expected) == 4
-    assert found == pytest.approx(expected, rel=0.01)
+    assert measured == pytest.approx(expected, rel=0.01)
 
 
 def _statistics_of_moves(space: MotionFitSpace) -> dict[str, float]:
