@@ -10,18 +10,19 @@ from dataclasses import replace
 import numpy as np
 
 from gyrorig_solver.data import FloatArray
+from gyrorig_solver.model.motion_law_term import MotionLawTerm
 from gyrorig_solver.model.replanned_moves import (
     compound_change,
     compound_moves,
     simple_moves,
 )
 from gyrorig_solver.model.signal_state import SignalState
-from gyrorig_solver.model.term import EDGE_COVARIATES, NO_ANGLES, size_parameter
-from gyrorig_solver.model.term_kinds import AngleTerm, scan_grid
+from gyrorig_solver.model.term import size_parameter
+from gyrorig_solver.model.term_kinds import scan_grid
 from gyrorig_solver.model.value_format import PAN_TILT, format_list
 
 
-class AccelerationError(AngleTerm):
+class AccelerationError(MotionLawTerm):
     """The relative acceleration error e of pan and tilt."""
 
     cause = "acceleration_error"
@@ -34,8 +35,6 @@ class AccelerationError(AngleTerm):
     )
     confused_with = ("s_curve", "base_speed_jump", "clock_offset")
     remedy = "query the acceleration of the unit (commands PA and TA) during the recording"
-    covariates = (*EDGE_COVARIATES, "speed")
-    picture = None
     excitation = "moves at several speeds, with ramps of different lengths"
     effect_if_ignored = "small, because the time offset absorbs part of the error"
 
@@ -50,14 +49,6 @@ class AccelerationError(AngleTerm):
     def template_bank(self, state: SignalState) -> FloatArray:
         """Scan small and large errors."""
         return scan_grid(self, share=np.array([-0.2, -0.05, 0.01, 0.05, 0.2]))
-
-    def missing_data(self, state: SignalState) -> str | None:
-        """Return why the motion profiles are unknown, or None."""
-        return missing_profiles(state)
-
-    def missing_excitation(self, state: SignalState) -> str | None:
-        """Return that the unit does not move, or None."""
-        return missing_moves(state)
 
     def describe(self, values: FloatArray) -> str:
         return (
@@ -106,28 +97,6 @@ def replan_motion(
         changed,
         context=replace(changed.context, limit_changes=(limit_changes[0], limit_changes[1])),
     )
-
-
-def missing_profiles(state: SignalState) -> str | None:
-    """Return why the motion profiles are unknown, or None if they are known."""
-    if state.lacks_angles:
-        return NO_ANGLES
-    has_commands = state.context.rad_per_step is not None and state.context.motion_profiles
-    if _moves(state) and not has_commands:
-        return "the recording has no commands to the unit; record the commands too"
-    return None
-
-
-def missing_moves(state: SignalState) -> str | None:
-    """Return that the unit does not move, or None if it does."""
-    return None if _moves(state) else "the unit does not move; record a program that moves it"
-
-
-def _moves(state: SignalState) -> bool:
-    """Return whether an axis turns by more than a step."""
-    rad_per_step = state.context.rad_per_step
-    step_rad = 0.0 if rad_per_step is None else float(np.max(rad_per_step))
-    return bool(np.any(np.ptp(state.angle_rad, axis=1) > step_rad))
 
 
 TERM = AccelerationError()

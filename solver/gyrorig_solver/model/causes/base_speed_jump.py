@@ -11,17 +11,16 @@ import numpy as np
 from gyrorig_solver.data import FloatArray
 from gyrorig_solver.model.causes.acceleration_error import (
     limit_change_error,
-    missing_moves,
-    missing_profiles,
     replan_motion,
 )
+from gyrorig_solver.model.motion_law_term import MotionLawTerm
 from gyrorig_solver.model.signal_state import SignalState
-from gyrorig_solver.model.term import EDGE_COVARIATES, size_parameter
-from gyrorig_solver.model.term_kinds import AngleTerm, scan_grid
+from gyrorig_solver.model.term import size_parameter
+from gyrorig_solver.model.term_kinds import scan_grid
 from gyrorig_solver.model.value_format import DEG, PAN_TILT, format_list
 
 
-class BaseSpeedJump(AngleTerm):
+class BaseSpeedJump(MotionLawTerm):
     """The excess over the commanded base speed, for pan and tilt."""
 
     cause = "base_speed_jump"
@@ -43,8 +42,6 @@ class BaseSpeedJump(AngleTerm):
     )
     confused_with = ("s_curve", "acceleration_error", "low_pass_lag", "clock_offset")
     remedy = "query the base speed of the unit (commands PB and TB) during the recording"
-    covariates = (*EDGE_COVARIATES, "speed")
-    picture = None
     excitation = "moves at several speeds, with base speeds that are set and recorded"
     effect_if_ignored = "the time offset absorbs the error; other parameters hardly change"
 
@@ -59,14 +56,6 @@ class BaseSpeedJump(AngleTerm):
     def template_bank(self, state: SignalState) -> FloatArray:
         """Scan several base speeds."""
         return scan_grid(self, speed=DEG * np.array([0.5, 1.5, 3.0, 6.0]))
-
-    def missing_data(self, state: SignalState) -> str | None:
-        """Return why the motion profiles are unknown, or None."""
-        return missing_profiles(state)
-
-    def missing_excitation(self, state: SignalState) -> str | None:
-        """Return that the unit does not move, or None."""
-        return missing_moves(state)
 
     def describe(self, values: FloatArray) -> str:
         return f"the moves start without a ramp at {format_list(values / DEG, PAN_TILT, 'deg/s')}"

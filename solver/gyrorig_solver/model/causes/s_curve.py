@@ -9,15 +9,15 @@ sign separates it from a compliant base.
 import numpy as np
 
 from gyrorig_solver.data import FloatArray
-from gyrorig_solver.model.causes.acceleration_error import missing_moves, missing_profiles
 from gyrorig_solver.model.drive_effects import moving_average
+from gyrorig_solver.model.motion_law_term import MotionLawTerm
 from gyrorig_solver.model.signal_state import SignalState
-from gyrorig_solver.model.term import EDGE_COVARIATES, size_parameter
-from gyrorig_solver.model.term_kinds import AngleTerm, scan_grid
+from gyrorig_solver.model.term import size_parameter
+from gyrorig_solver.model.term_kinds import scan_grid
 from gyrorig_solver.model.value_format import PAN_TILT, format_list
 
 
-class SCurve(AngleTerm):
+class SCurve(MotionLawTerm):
     """The length L of pan and tilt."""
 
     cause = "s_curve"
@@ -31,8 +31,6 @@ class SCurve(AngleTerm):
     )
     confused_with = ("base_compliance", "base_speed_jump", "low_pass_lag", "acceleration_error")
     remedy = "let `gyrorig solve` fit this cause"
-    covariates = (*EDGE_COVARIATES, "speed")
-    picture = None
     excitation = "the fastest accelerations, and several boards with different low-pass filters"
     effect_if_ignored = "the time offset absorbs the error; other parameters hardly change"
 
@@ -47,14 +45,6 @@ class SCurve(AngleTerm):
     def template_bank(self, state: SignalState) -> FloatArray:
         """Scan several lengths; there is no derivative at zero."""
         return scan_grid(self, length=np.array([0.01, 0.02, 0.04, 0.08, 0.16]))
-
-    def missing_data(self, state: SignalState) -> str | None:
-        """Return why the motion profiles are unknown, or None; counts contain the rounding."""
-        return missing_profiles(state)
-
-    def missing_excitation(self, state: SignalState) -> str | None:
-        """Return that the unit does not move, or None."""
-        return missing_moves(state)
 
     def describe(self, values: FloatArray) -> str:
         return (
