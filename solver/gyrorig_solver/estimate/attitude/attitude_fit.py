@@ -23,8 +23,17 @@ from gyrorig_protocol.errors import InputError
 from gyrorig_solver.data import FloatArray
 from gyrorig_solver.data.samples import GyroSamples
 from gyrorig_solver.estimate.attitude.attitude_matching import AttitudeSegment, match_segments
-from gyrorig_solver.estimate.attitude.attitude_solver import AttitudeSolver, LinearisedModel
-from gyrorig_solver.estimate.attitude.attitude_times import ResolvedReference, resolve_times
+from gyrorig_solver.estimate.attitude.attitude_solver import (
+    LAG_LIMIT_S,
+    AttitudeSolver,
+    LinearisedModel,
+)
+from gyrorig_solver.estimate.attitude.attitude_times import (
+    ResolvedReference,
+    no_common_stretch,
+    resolve_times,
+)
+from gyrorig_solver.estimate.attitude.time_shift import check_time_shift
 from gyrorig_solver.estimate.information import PARAMETER_NAMES
 from gyrorig_solver.estimate.observability import (
     analyse_scaled_observability,
@@ -35,6 +44,7 @@ DEFAULT_BAND_HZ = 5.0
 # Share of the band for a second fit, and the standard deviations within which both must agree.
 LOWER_BAND_SHARE = 0.2
 MAX_BAND_DIFFERENCE_SIGMA = 4.0
+MIN_COEFFICIENTS = 8.0  # of each axis in the lower band; the fit has four parameters per axis
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,6 +81,8 @@ def solve_attitude(
     Raises:
         InputError: gyro and reference hardly overlap.
     """
+    for samples, reference in recordings:
+        check_time_shift(samples, reference)
     resolved = resolve_all(recordings, band_hz, keep_sawtooth)
     matches = [
         (recording_index, match_of_track)
@@ -79,7 +91,10 @@ def solve_attitude(
         )
         for match_of_track in match_segments(samples, outcome.reference)
     ]
-    _check_overlap({recording_index for recording_index, _ in matches}, len(recordings))
+    matched = {recording_index for recording_index, _ in matches}
+    for recording_index, (samples, reference) in enumerate(recordings):
+        if recording_index not in matched:
+            raise no_common_stretch(samples, reference, recording_index, len(recordings))
     segments = [match_of_track for _, match_of_track in matches]
     return _solve_segments(segments, [k for k, _ in matches], band_hz, None, resolved)
 
@@ -124,6 +139,7 @@ def _solve_segments(
     effects: list[FloatArray] | None,
     resolved: tuple[ResolvedReference, ...],
 ) -> AttitudeFit:
+    _check_length(segments, LOWER_BAND_SHARE * band_hz)
     solver = AttitudeSolver(segments, band_hz, recording_of_segment, effects)
     linearised = solver.run()
     bands = _compare_bands(solver)
@@ -132,18 +148,29 @@ def _solve_segments(
         band_hz *= LOWER_BAND_SHARE
         solver = AttitudeSolver(segments, band_hz, recording_of_segment, effects)
         linearised = solver.run()
+    if solver.lags_at_limit(linearised):
+        raise InputError(
+            "the times of the gyroscope and of the reference attitudes seem to differ by more than "
+            f"{LAG_LIMIT_S:.3g} s, which is the limit of the fit",
+            "compare the times of both, correct one of them (in an import map with `origin_s` "
+            "under `time`), and import again",
+        )
     return AttitudeFit(solver, linearised, bands, band_hz, resolved)
 
 
-def _check_overlap(matched: set[int], count: int) -> None:
-    if len(matched) == count:
-        return
-    missing = min(set(range(count)) - matched)
-    where = "" if count == 1 else f" of recording {missing + 1}"
-    raise InputError(
-        f"the gyroscope's samples and the reference attitudes{where} do not overlap in time",
-        "record the board and the attitudes together for at least a few seconds",
-    )
+def _check_length(segments: Sequence[AttitudeSegment], band_hz: float) -> None:
+    """Raise an error if a band has too few coefficients for gain, bias and time offset.
+
+    Raises:
+        InputError: the recordings are too short.
+    """
+    length_s = sum(segment.track.begin_s.size * segment.track.step_s for segment in segments)
+    if 2.0 * band_hz * length_s < MIN_COEFFICIENTS:
+        raise InputError(
+            f"the gyroscope's samples and the reference attitudes have only {length_s:.1f} s in "
+            "common without a gap, which is too short for a fit",
+            "record the board and the attitudes together for at least 10 s",
+        )
 
 
 def _compare_bands(solver: AttitudeSolver) -> _BandComparison:

@@ -24,6 +24,7 @@ from gyrorig_solver.estimate.parameter_layout import (
 )
 
 MAX_ITERATIONS = 15
+LAG_LIMIT_S = 0.95 * MAX_LAG_S  # of the search; the gyro covers a margin of `MAX_LAG_S`
 CONVERGED_SIGMA = 1e-3
 # With fewer values per bin, the weights overfit the residual: with 12, the true errors were 1.2
 # times the standard deviations over 30 simulated runs, with 80 they were 1.02 to 1.09 times.
@@ -32,6 +33,12 @@ MIN_PER_BIN = 80
 # Degrees of freedom that are subtracted from n values. The inverse of a variance from n values is
 # too large by 2 / n, and weights that follow the residual fit it by the same amount again.
 WEIGHT_FREEDOM = 4.0
+# The floor of the gyro's noise is the lowest of some 100 means of 64 values, so it is too low by up
+# to this factor.
+FLOOR_FACTOR = 2.0
+# Share of the power of the gyro's slope that must be motion, to show the time offset. At rest, the
+# slope had up to 2.2 times the power of the noise with this factor; in slow motion, 15 000 times.
+MIN_SLOPE_SHARE = 0.75
 # A residual of more robust standard deviations is a glitch of the reference.
 GLITCH_SIGMA = 8.0
 # Chunks for the variance of the score; longer than its correlation.
@@ -49,6 +56,8 @@ class LinearisedModel:
     jacobian: FloatArray  # (n, 3, p), by G and each recording's (b, tau)
     variance: FloatArray  # (n, 3)
     regressor_noise: FloatArray  # (n, 3), variance of the estimated true rate
+    slope_noise: FloatArray  # (n, 3), variance of the derivative by the lag, from the gyro's noise
+    lag_index: IntArray  # (n,), the parameter of each row's time offset
     glitches: int
 
     def information(self) -> FloatArray:
@@ -61,7 +70,22 @@ class LinearisedModel:
                 info[3 * i + j, 3 * i + j] -= min(
                     noise_contribution, 0.999 * info[3 * i + j, 3 * i + j]
                 )
+        # The slope of noise is no motion: at rest, the whole information on the lag is noise.
+        for k in np.unique(self.lag_index).tolist():
+            share = self.slope_share(k)
+            info[k, k] *= share if share > MIN_SLOPE_SHARE else 0.001
         return np.asarray(info, dtype=np.float64)
+
+    def slope_share(self, lag: int) -> float:
+        """Return the share of the power of the gyro's slope that is motion, not noise.
+
+        Args:
+            lag: index of the time offset of a recording.
+        """
+        rows = self.lag_index == lag
+        power = np.sum(self.jacobian[rows, :, lag] ** 2 / self.variance[rows])
+        noise = np.sum(self.slope_noise[rows] / self.variance[rows])
+        return 1.0 - float(noise) / max(float(power), 1e-30)
 
     def leverage(self, covariance: FloatArray) -> FloatArray:
         """Return the share of each residual's variance that the fit removes, (n, 3)."""
@@ -131,6 +155,16 @@ class AttitudeSolver:
         self._leverage = np.full((rows, 3), min(4.0 / rows, 0.5))
         self.bin = _log_bins(self.frequency_hz)
 
+    def lags_at_limit(self, linearised: LinearisedModel) -> list[int]:
+        """Return the recordings whose motion shows a time offset beyond the limit of the search."""
+        last = [int(self.layout.index(k)[-1]) for k in range(len(self.lags_s))]
+        return [
+            k
+            for k, lag_s in enumerate(self.lags_s.tolist())
+            if abs(lag_s) > 0.999 * LAG_LIMIT_S
+            and linearised.slope_share(last[k]) > MIN_SLOPE_SHARE
+        ]
+
     @property
     def estimate(self) -> FloatArray:
         """G, and b, tau of the last recording, shape (13,)."""
@@ -139,7 +173,6 @@ class AttitudeSolver:
     def run(self) -> LinearisedModel:
         """Iterate to convergence and return the last linearisation."""
         self._initialise()
-        limit = 0.95 * MAX_LAG_S
         for _ in range(MAX_ITERATIONS):
             linearised = self.linearise()
             inverse = analyse_scaled_observability(
@@ -150,7 +183,7 @@ class AttitudeSolver:
             by_recording = step[GAIN_PARAMETERS:].reshape(-1, SESSION_PARAMETERS)
             self.gain = self.gain + step[:GAIN_PARAMETERS].reshape(3, 3)
             self.biases = self.biases + by_recording[:, :3]
-            self.lags_s = np.clip(self.lags_s + by_recording[:, 3], -limit, limit)
+            self.lags_s = np.clip(self.lags_s + by_recording[:, 3], -LAG_LIMIT_S, LAG_LIMIT_S)
             sigma = np.sqrt(np.maximum(np.diag(inverse), 1e-30))
             if float(np.max(np.abs(step) / sigma)) < CONVERGED_SIGMA:
                 self.converged = True
@@ -219,6 +252,7 @@ class AttitudeSolver:
         jacobian = np.zeros((residual.shape[0], 3, self.layout.size))
         for i in range(3):
             jacobian[:, i, 3 * i : 3 * i + 3] = rate
+        lag_index = np.empty(residual.shape[0], dtype=np.int64)
         first = 0
         for recording, constant, slope in zip(
             self.recording_of_segment, constants, slopes, strict=True
@@ -230,7 +264,12 @@ class AttitudeSolver:
                 jacobian[part, i, session[i]] = constant
             # The gyro is sampled at t + tau: the lag moves y, not the model. So the sign is minus.
             jacobian[part, :, session[3]] = -slope
-        return LinearisedModel(residual, jacobian, variance, regressor_noise, glitches)
+            lag_index[part] = session[3]
+        noise_bound = FLOOR_FACTOR * gyro_noise
+        slope_noise = noise_bound * (2.0 * np.pi * self.frequency_hz[:, None]) ** 2
+        return LinearisedModel(
+            residual, jacobian, variance, regressor_noise, slope_noise, lag_index, glitches
+        )
 
     def clean_segment(self, segment_index: int) -> CleanedSegment:
         """Return one segment in time at the current parameters, without glitches.

@@ -13,7 +13,11 @@ from gyrorig_protocol.errors import InputError
 from gyrorig_solver.data import FloatArray
 from gyrorig_solver.data.samples import GyroSamples
 from gyrorig_solver.estimate.attitude.attitude_conventions import check_convention
-from gyrorig_solver.estimate.attitude.attitude_matching import match_segments
+from gyrorig_solver.estimate.attitude.attitude_matching import (
+    MAX_LAG_S,
+    MIN_BLOCKS,
+    match_segments,
+)
 from gyrorig_solver.estimate.attitude.attitude_repair import remove_outliers, remove_swapped
 from gyrorig_solver.estimate.attitude.attitude_solver import AttitudeSolver, LinearisedModel
 from gyrorig_solver.estimate.attitude.lag_drift import (
@@ -142,11 +146,30 @@ def _log_variance(linearised: LinearisedModel) -> float:
     return 0.5 * float(np.sum(np.log(linearised.variance)))
 
 
-def no_overlap() -> InputError:
-    """Return the error of a gyro and attitudes without common times."""
+def no_common_stretch(
+    samples: GyroSamples, reference: AttitudeReference, recording: int = 0, recordings: int = 1
+) -> InputError:
+    """Return the error of a gyro and attitudes without a common stretch of time.
+
+    Args:
+        samples: of one board, on the time axis of the reference.
+        reference: the attitudes.
+        recording: index of the recording.
+        recordings: how many are fitted together.
+    """
+    where = "" if recordings == 1 else f" of recording {recording + 1}"
+    begin_s = max(float(samples.time_s[0]), float(reference.time_s[0]))
+    end_s = min(float(samples.time_s[-1]), float(reference.time_s[-1]))
+    if end_s - begin_s < 2.0 * MAX_LAG_S:
+        return InputError(
+            f"the gyroscope's samples and the reference attitudes{where} do not overlap in time",
+            "record the board and the attitudes together for at least a few seconds",
+        )
     return InputError(
-        "the gyroscope's samples and the reference attitudes do not overlap in time",
-        "record the board and the attitudes together for at least a few seconds",
+        f"the gyroscope's samples and the reference attitudes{where} overlap for "
+        f"{end_s - begin_s:.1f} s, but have gaps: no stretch without a gap contains {MIN_BLOCKS} "
+        "attitudes",
+        "find out why samples or attitudes are missing, and record again",
     )
 
 
@@ -164,7 +187,7 @@ def _fit_drift(
     for iteration in range(MAX_DRIFT_ITERATIONS):
         segments = match_segments(samples, reference)
         if not segments:
-            raise no_overlap()
+            raise no_common_stretch(samples, reference)
         solver = AttitudeSolver(segments, band_hz, lags_s=lags_s)
         linearised = solver.run()
         lags_s = solver.lags_s

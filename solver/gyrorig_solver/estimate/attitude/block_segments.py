@@ -155,7 +155,10 @@ def build_block_segments(
                 rate=_group_means(rate, intervals_per_block),
                 slope=_group_means(cleaned.slope[:n], intervals_per_block * steps_per_interval),
                 time_s=middle_s.reshape(block_count, intervals_per_block).mean(axis=1),
-                in_band_count=int(2.0 * fit.band_hz * block_count * intervals_per_block * step_s),
+                in_band_count=min(
+                    block_count,
+                    int(2.0 * fit.band_hz * block_count * intervals_per_block * step_s),
+                ),
             )
         )
     return segments

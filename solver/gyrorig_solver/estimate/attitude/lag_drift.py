@@ -12,7 +12,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from gyrorig_solver.data import BoolArray, FloatArray
-from gyrorig_solver.estimate.attitude.attitude_solver import AttitudeSolver, inverse_band_dct
+from gyrorig_solver.estimate.attitude.attitude_solver import (
+    MIN_SLOPE_SHARE,
+    AttitudeSolver,
+    inverse_band_dct,
+)
 from gyrorig_solver.estimate.attitude.lag_sawtooth import Sawtooth, WindowLags
 
 WINDOW_S = 1.0  # of one value of the time offset
@@ -100,6 +104,8 @@ def fit_drift(time_s: FloatArray, lag_s: FloatArray, information: FloatArray) ->
         lag_s: error of each window, shape (n,).
         information: of each window, 1/s^2, shape (n,).
     """
+    if not time_s.size:
+        return LagDrift(0.0, (), (), 0.0)
     moving = information > 1e-3 * float(np.median(information))
     lags = WindowLags(time_s[moving], lag_s[moving], information[moving], WINDOW_S)
     middle_s = float(lags.information @ lags.time_s / max(lags.information.sum(), 1e-30))
@@ -160,16 +166,21 @@ def _drift_of(
 
 
 def _window_lags(solver: AttitudeSolver) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return time, error of the time offset, and its information, of each window."""
+    """Return time, error of the time offset, and its information, of each window with motion.
+
+    The slope of the gyro's noise adds to the power of the slope. This share says nothing about the
+    time offset. In a window with motion, it is small.
+    """
     linearised = solver.linearise()
     root = np.sqrt(linearised.variance)
-    times, scores, informations, first = [], [], [], 0
+    times, scores, informations, noises, first = [], [], [], [], 0
     for segment, in_band in zip(solver.segments, solver.in_band, strict=True):
         count, coefficients = segment.track.begin_s.size, int(in_band.sum())
         part = slice(first, first + coefficients)
         first += coefficients
         residual = inverse_band_dct(linearised.residual[part] / root[part], count)
         column = inverse_band_dct(linearised.jacobian[part, :, 12] / root[part], count)
+        noise = float(np.sum(linearised.slope_noise[part] / linearised.variance[part])) / count
         width = max(1, round(WINDOW_S / segment.track.step_s))
         starts = np.arange(0, max(count - width // 2, 1), width)
         edge_s = segment.track.edge_s
@@ -177,8 +188,13 @@ def _window_lags(solver: AttitudeSolver) -> tuple[FloatArray, FloatArray, FloatA
         times.append((edge_s[starts] + edge_s[ends]) / 2.0)
         scores.append(np.add.reduceat(np.sum(column * residual, axis=1), starts))
         informations.append(np.add.reduceat(np.sum(column**2, axis=1), starts))
-    information = np.maximum(np.concatenate(informations), 1e-30)
-    return np.concatenate(times), np.concatenate(scores) / information, information
+        noises.append(noise * np.diff(np.append(starts, count)))
+    score, total = np.concatenate(scores), np.concatenate(informations)
+    signal = total - np.concatenate(noises)
+    moving = signal > MIN_SLOPE_SHARE * total
+    # The variance of the score is `total`, and its derivative by the time offset is `signal`.
+    lag_s = score[moving] / signal[moving]
+    return np.concatenate(times)[moving], lag_s, signal[moving] ** 2 / total[moving]
 
 
 def _weighted_fit(basis: FloatArray, values: FloatArray, root: FloatArray) -> FloatArray:

@@ -53,13 +53,16 @@ class AttitudeKind(ReferenceKind):
         del named_terms  # `fit_explained` has the fit with them
         check_fittable(extend)
         space, remarks = _extended_space(data, extend)
-        return space.summarize(remarks)
+        return space.summarize((*_left_out_remarks(data), *remarks))
 
     def fit_criticised(self, data: BoardData, requested: Sequence[str]) -> CriticisedFit:
         check_fittable(requested)
         space, remarks = _extended_space(data, requested)
         return CriticisedFit(
-            space.summarize(remarks), None, criticism=criticise_fit(space), attitude_space=space
+            space.summarize((*_left_out_remarks(data), *remarks)),
+            None,
+            criticism=criticise_fit(space),
+            attitude_space=space,
         )
 
     def fit_explained(
@@ -71,7 +74,10 @@ class AttitudeKind(ReferenceKind):
         check_fittable(requested)
         extended, remarks = extend_attitudes(space, requested)
         return CriticisedFit(
-            extended.summarize(remarks), None, explanation, attitude_space=extended
+            extended.summarize((*_left_out_remarks(data), *remarks)),
+            None,
+            explanation,
+            attitude_space=extended,
         )
 
     def explain(self, data: BoardData, held_out: Recording | None) -> BoardExplanation:
@@ -81,18 +87,13 @@ class AttitudeKind(ReferenceKind):
         fit, remarks = explanation.fit, list(explanation.remarks)
         if held_out is not None and explanation.findings.other_recording_gain is None:
             remarks.append(NO_CAUSE_REMARK.format(held_out.path.name))
-        left_out = [
-            f"the recording {other.path.name} was left out, because it has no reference attitudes"
-            for other in data.recordings
-            if other not in usable
-        ]
         return BoardExplanation(
             board=BoardId(data.board),
             recordings=usable,
             findings=explanation.findings,
             raw_checks=(*check_raw_streams(data), check_fitted_gain(data, fit.gain)),
             report_series=series_of_attitudes(explanation),
-            remarks=(*left_out, *fit.warnings, *fit.limited_reasons, *remarks),
+            remarks=(*_left_out_remarks(data), *fit.warnings, *fit.limited_reasons, *remarks),
             fit_explanation=None,
             fit=fit,
             attitude_space=explanation.space,
@@ -109,6 +110,15 @@ def _extended_space(
     fits_sawtooth = any(find_term(cause).template_search == "lag_series" for cause in requested)
     base = fit_attitude_space(load_attitude_recordings(data), keep_sawtooth=fits_sawtooth)
     return extend_attitudes(base, requested)
+
+
+def _left_out_remarks(data: BoardData) -> tuple[str, ...]:
+    """Return a remark for each recording that the fit does not use."""
+    return tuple(
+        f"the recording {recording.path.name} was left out, because it has no reference attitudes"
+        for recording in data.recordings
+        if not has_attitudes(recording)
+    )
 
 
 def has_attitudes(recording: Recording) -> bool:

@@ -1,0 +1,139 @@
+"""Whether the times of gyro and reference attitudes differ by more than the fit permits.
+
+The fit searches the time offset within `MAX_LAG_S`. With a larger difference it would find wrong
+gains and an offset at the limit. The speeds of gyro and reference do not depend on the mount of the
+sensor, so their correlation over all shifts shows a difference roughly. Near the best shift, a
+regression of the rates, with a gain and a bias, gives its value.
+
+What to use when: `check_time_shift` before a fit.
+"""
+
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+from scipy.signal import correlate, correlation_lags
+
+from gyrorig_protocol.errors import InputError
+from gyrorig_solver.data import FloatArray, IntArray
+from gyrorig_solver.data.samples import GyroSamples
+from gyrorig_solver.estimate.attitude.attitude_matching import MAX_LAG_S, MAX_SPEED_RATIO
+from gyrorig_solver.reference import AttitudeReference
+
+STEP_S = 0.05  # of the mean rates that are compared
+MAX_STEPS = 1 << 20  # 14 hours
+REFINED_STEPS = 40  # on both sides of the best correlation, which an unknown bias shifts
+MIN_OVERLAP = 0.3  # of the shorter series; with less, few seconds agree by chance
+# A shift outside the range must explain this share of the gyro's variance. It must also explain
+# this much more than every shift inside, or leave less than this share of what that one leaves.
+# Agreement by chance at rest, and of motion that repeats, is smaller.
+MIN_EXPLAINED, MIN_GAIN, MAX_REMAINING_RATIO = 0.5, 0.3, 0.25
+
+
+def check_time_shift(samples: GyroSamples, reference: AttitudeReference) -> None:
+    """Raise an error if gyro and attitudes agree well only with a large shift of the times.
+
+    Args:
+        samples: of one board, on the time axis of the reference.
+        reference: the attitudes.
+
+    Raises:
+        InputError: the times differ by more than `MAX_LAG_S`; the error states the difference.
+    """
+    shift_s = find_time_shift(samples, reference)
+    if shift_s is not None:
+        word = "later" if shift_s > 0.0 else "earlier"
+        raise InputError(
+            f"the times of the gyroscope are about {abs(shift_s):.2f} s {word} than those of the "
+            f"reference attitudes, and the fit permits {MAX_LAG_S:g} s",
+            f"add {shift_s:.2f} s to the times of the attitudes (in an import map with `origin_s` "
+            "under `time`), and import again",
+        )
+
+
+def find_time_shift(samples: GyroSamples, reference: AttitudeReference) -> float | None:
+    """Return gyro time minus reference time, s; None if it may be within `MAX_LAG_S`."""
+    tracks = reference.rate_segments()
+    if not tracks:
+        return None
+    gyro = _MeanRates.of(samples.time_s[samples.usable], samples.rate_rad_s[samples.usable])
+    attitudes = _MeanRates.of(
+        np.concatenate([0.5 * (track.begin_s + track.end_s) for track in tracks]),
+        np.concatenate([track.rate_rad_s for track in tracks]),
+    )
+    if max(gyro.valid.size, attitudes.valid.size) > MAX_STEPS:
+        return None
+    lags = correlation_lags(gyro.valid.size, attitudes.valid.size)
+    begin_s = gyro.begin_s - attitudes.begin_s
+    is_near = np.abs(lags * STEP_S + begin_s) <= MAX_LAG_S
+    best = int(np.argmax(_speed_correlation(gyro, attitudes)))
+    around = lags[max(best - REFINED_STEPS, 0) : best + REFINED_STEPS + 1]
+    share, lag = max((_explained_share(gyro, attitudes, int(k)), int(k)) for k in around)
+    nearest = max([0.0, *(_explained_share(gyro, attitudes, int(k)) for k in lags[is_near])])
+    is_better = share > nearest + MIN_GAIN or 1.0 - share < MAX_REMAINING_RATIO * (1.0 - nearest)
+    shift_s = lag * STEP_S + begin_s
+    return shift_s if is_better and share > MIN_EXPLAINED and abs(shift_s) > MAX_LAG_S else None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _MeanRates:
+    """Mean rates in equal steps of time."""
+
+    begin_s: float
+    rate_rad_s: FloatArray  # (n, 3), 0 without data
+    valid: FloatArray  # (n,), 1 with data, otherwise 0
+
+    @classmethod
+    def of(cls, time_s: FloatArray, rate_rad_s: FloatArray) -> Self:
+        """Return the means of rates (m, 3) at times (m,)."""
+        begin_s = float(time_s.min())
+        step: IntArray = np.floor((time_s - begin_s) / STEP_S).astype(np.int64)
+        count = np.bincount(step)
+        sums = np.stack([np.bincount(step, axis) for axis in rate_rad_s.T], axis=1)
+        return cls(begin_s, sums / np.maximum(count, 1)[:, None], (count > 0).astype(np.float64))
+
+    def speeds(self, limit_rad_s: float) -> FloatArray:
+        """Return limited speeds relative to the median rate, minus their mean, (n,)."""
+        has_data = self.valid > 0.0
+        middle = np.median(self.rate_rad_s[has_data], axis=0)
+        speed = np.minimum(np.linalg.norm(self.rate_rad_s - middle, axis=1), limit_rad_s)
+        return np.where(has_data, speed - speed[has_data].mean(), 0.0)
+
+    @property
+    def largest_rad_s(self) -> float:
+        """The largest mean speed."""
+        return float(np.linalg.norm(self.rate_rad_s, axis=1).max())
+
+
+def _speed_correlation(gyro: _MeanRates, attitudes: _MeanRates) -> FloatArray:
+    """Return the correlation of the speeds at each shift; 0 where the series hardly overlap."""
+    # A board is never much faster than its gyro shows; larger speeds are outliers of the reference.
+    limit_rad_s = MAX_SPEED_RATIO * gyro.largest_rad_s
+    first, second = gyro.speeds(limit_rad_s), attitudes.speeds(limit_rad_s)
+    product, count, power, other_power = (
+        correlate(a, b, method="fft")
+        for a, b in (
+            (first, second),
+            (gyro.valid, attitudes.valid),
+            (first**2, attitudes.valid),
+            (gyro.valid, second**2),
+        )
+    )
+    enough = count > MIN_OVERLAP * min(gyro.valid.sum(), attitudes.valid.sum())
+    scale = np.sqrt(np.maximum(power * other_power, 0.0))
+    return np.where(enough & (scale > 0.0), product / np.maximum(scale, 1e-30), 0.0)
+
+
+def _explained_share(gyro: _MeanRates, attitudes: _MeanRates, lag: int) -> float:
+    """Return the share of the gyro's variance that the attitudes explain, with gain and bias."""
+    first, second = max(lag, 0), max(-lag, 0)
+    size = min(gyro.valid.size - first, attitudes.valid.size - second)
+    rows, others = slice(first, first + size), slice(second, second + size)
+    has_both = (gyro.valid[rows] * attitudes.valid[others]) > 0.0
+    if has_both.sum() < MIN_OVERLAP * min(gyro.valid.sum(), attitudes.valid.sum()):
+        return 0.0
+    measured = gyro.rate_rad_s[rows][has_both]
+    design = np.column_stack([attitudes.rate_rad_s[others][has_both], np.ones(len(measured))])
+    residual = measured - design @ np.linalg.lstsq(design, measured, rcond=None)[0]
+    variance = float(np.sum((measured - measured.mean(axis=0)) ** 2))
+    return 1.0 - float(np.sum(residual**2)) / variance if variance > 0.0 else 0.0
