@@ -73,11 +73,16 @@ def _exclusion_sentence(calibration: CalibrationDocument) -> str:
             return "Tests of the residual found no further effect."
         subject = "Rig errors below this limit are" if calibration.noise else "Rig errors are"
         return f"{subject} not excluded; run `gyrorig explain`."
-    fitted = [name for name in findings.causes if name in calibration.solver.terms]
+    terms = calibration.solver.terms
+    fitted = ", ".join(n.replace("_", " ") for n in findings.causes if n in terms)
+    others = ", ".join(n.replace("_", " ") for n in findings.causes if n not in terms)
+    sentences = []
     if fitted:
-        names = ", ".join(name.replace("_", " ") for name in fitted)
-        return f"The fit includes the causes that a search found: {names}."
-    return "A search for further causes found none in the rates."
+        sentences.append(f"The fit includes the causes that a search found: {fitted}.")
+    if others:
+        also = "also " if fitted else ""
+        sentences.append(f"The findings {also}name {others}, which the fit does not include.")
+    return " ".join(sentences) or "A search for further causes found none in the rates."
 
 
 def next_step(calibration: CalibrationDocument) -> str:

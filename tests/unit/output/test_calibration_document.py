@@ -23,7 +23,7 @@ from gyrorig_solver.calibration import (
     parse_calibration,
 )
 from gyrorig_solver.calibration.calibration_builder import Provenance, build_calibration
-from gyrorig_solver.calibration.calibration_document import calibration_as_yaml
+from gyrorig_solver.calibration.calibration_document import FindingsReference, calibration_as_yaml
 from gyrorig_solver.calibration.calibration_summary import calibration_summary
 from gyrorig_solver.estimate import GyroFit, motion_fit
 from gyrorig_solver.model import format_quantity
@@ -191,6 +191,24 @@ def test_clock_skew_is_recorded_only_for_a_second_clock(
 
 def test_the_stated_limit_is_the_one_that_the_verdict_uses() -> None:
     assert calibration_wording.REDUCED_CHI2_LIMIT == motion_fit.MAX_REDUCED_CHI2
+
+
+@pytest.mark.parametrize(
+    ("causes", "sentence"),
+    [
+        (["sign_flip"], "The findings name sign flip, which the fit does not include."),
+        (["bias", "sign_flip"], "The findings also name sign flip, which the fit does not"),
+        ([], "A search for further causes found none in the rates."),
+    ],
+)
+def test_a_named_cause_that_is_not_in_the_fit_is_stated(
+    causes: list[str], sentence: str, good_fit: GyroFit, provenance: Provenance
+) -> None:
+    """The checks of the samples name causes that no fit contains."""
+    findings = FindingsReference(verdict="explained", causes=causes, file="f.yaml")
+    document = msgspec.structs.replace(made(good_fit, provenance), findings=findings)
+    assert document.trust.verdict == "good"
+    assert sentence in calibration_summary(document)
 
 
 def test_the_summary_shows_the_fitted_axes_of_a_cause_in_their_units(
