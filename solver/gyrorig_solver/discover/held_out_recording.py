@@ -89,13 +89,16 @@ class HeldOutRecording:
         self, solution: ConvergedFit
     ) -> tuple[tuple[FittedTerm, ...], tuple[FittedTerm, ...]]:
         """Return the causes that also act in this recording, held fixed, and the other causes."""
-        series = self.session.series[0]
-        scene = self.session.signal_state(series, series.part_slices()[0], solution.gain)
+        scenes = [
+            self.session.signal_state(series, blocks, solution.gain)
+            for series in self.session.series
+            for blocks in series.part_slices()
+        ]
         applicable: list[FittedTerm] = []
         left_out: list[FittedTerm] = []
         for extension in solution.fitted_terms:
             persists = extension.term.kind == "known" or extension.term.scope != "recording"
-            if persists and why_not_testable(extension.term, [scene]) is None:
+            if persists and why_not_testable(extension.term, scenes) is None:
                 applicable.append(
                     replace(
                         extension, free_indices=np.zeros(0, dtype=np.int64), other_boards_prior=None

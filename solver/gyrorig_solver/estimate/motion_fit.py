@@ -311,17 +311,22 @@ def _noise_levels(solution: ConvergedFit) -> NoiseLevels:
         rate_random_walk=levels[:, 2],
         source=solution.noise_sources[-1],
         white_by_motor_state={
-            state: levels[:, 0] * ratio
-            for state, ratio in solution.sessions[-1].noise_ratios().items()
+            state: levels[:, 0] * ratio for state, ratio in _last_noise_ratios(solution).items()
         },
         noise_floor=np.sqrt(noise.floor) if noise.floor.any() else None,
     )
 
 
+def _last_noise_ratios(solution: ConvergedFit) -> Mapping[str, FloatArray]:
+    """Return the noise in motion relative to that at rest, of the last recording that shows it."""
+    ratios = (session.noise_ratios() for session in reversed(solution.sessions))
+    return next((ratio for ratio in ratios if ratio), {})
+
+
 def _noise_remarks(solution: ConvergedFit, chi2_factor: float) -> list[str]:
     """Return remarks about noise in motion and about a multiplied covariance."""
     remarks = []
-    ratio = solution.sessions[-1].noise_ratios().get("in_motion")
+    ratio = _last_noise_ratios(solution).get("in_motion")
     rounded = is_rounded_without_dither(solution.noises[-1])
     if rounded.any():
         axes = ", ".join(np.array(list("xyz"))[rounded].tolist())

@@ -231,6 +231,8 @@ def motion_agreement_p_value(
     )
     mean = float(np.trace(white_information))
     spread = float(np.sum(white_information * white_information))
+    if not spread > 0.0:  # no board shows a move: nothing can disagree
+        return 1.0
     return float(
         chi2_upper_tail(float(white_score @ white_score) * mean / spread, mean**2 / spread)
     )

@@ -1,17 +1,25 @@
 """A recording at rest after a survey: the calibration states the time offset of the survey."""
 
 from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from tests.support.board_fits import explain_recordings, fit_base_model
+from tests.unit.discover.conftest import CONFIG
+from tests.unit.discover.test_motor_vibration import with_motor_noise
 
+from gyrorig_solver.data.samples import GyroSamples, load_samples
 from gyrorig_solver.discover import CALIBRATION_PARAMETERS, MotionFitSpace
 from gyrorig_solver.discover.cause_findings import CauseFindings
 from gyrorig_solver.discover.checks.residual_dependence import residual_dependence_tests
 from gyrorig_solver.discover.checks.smooth_alternatives import smooth_families
-from gyrorig_solver.estimate import ParameterLayout
+from gyrorig_solver.estimate import UNIT_REMEDIES, ParameterLayout, fit_boards_jointly
+from gyrorig_solver.estimate.motion_fit import summarize_motion_fit
+from gyrorig_solver.pipeline.board_data import load_board
+from gyrorig_solver.pipeline.prepare_board import fit_base, prepare_held_out
 
 OFFSET = CALIBRATION_PARAMETERS.index("time_offset")
 
@@ -102,3 +110,57 @@ def test_a_rest_does_not_hide_a_cause_that_needs_moves(hidden: Callable[..., Any
         assert after.cause == before.cause
         values = [value.value for value in before.values]
         assert [value.value for value in after.values] == pytest.approx(values, rel=1e-6)
+
+
+@pytest.mark.long
+def test_two_boards_at_rest_are_solved_together(hidden: Callable[..., Any], tmp_path: Path) -> None:
+    """Before, a recording that shows no move ended with a fault in the program."""
+    text = CONFIG.read_text(encoding="utf-8")
+    board = "  - {id: GY80-2, port: emulated, baud: 460800, format: gcb1}\n"
+    rig = tmp_path / "rig.yaml"
+    rig.write_text(text.replace("boards:\n", f"boards:\n{board}"), encoding="utf-8")
+    recordings = [hidden(program=name, config=rig).recording for name in ("quick", "static")]
+    boards = [str(board) for board in recordings[0].board_ids]
+    assert len(boards) == 2
+    for chosen in (recordings, recordings[1:]):
+        joint = fit_boards_jointly({board: fit_base_model(chosen, board) for board in boards})
+        assert set(joint.solutions) == set(boards)
+        assert not joint.left_out
+
+
+def test_the_noise_in_motion_is_that_of_the_survey(hidden: Callable[..., Any]) -> None:
+    survey = hidden(program="survey-40", seed=23)  # no other test records it: it is the first one
+    resting = hidden(program="static", seed=23)
+    noisy = with_motor_noise(load_board([survey.recording], survey.board), 2.0)
+    both = load_board([survey.recording, resting.recording], survey.board)
+    assert both.recordings[0].path == survey.recording.path
+    both = replace(both, samples=(*noisy.samples, both.samples[1]))
+    alone, together = (
+        summarize_motion_fit(fit_base(data), data.samples, UNIT_REMEDIES) for data in (noisy, both)
+    )
+    for fit in (alone, together):
+        assert any("noise in motion is" in warning for warning in fit.warnings)
+
+
+@pytest.mark.long
+def test_a_held_out_recording_shows_what_any_of_its_parts_shows(hidden: Callable[..., Any]) -> None:
+    """Before, the first part decided, and it can be a rest."""
+    survey = hidden("g_sensitivity", program="survey-40")
+    other = hidden("g_sensitivity", program="survey-130")
+    explanation = explain_recordings([survey.recording], survey.board)
+    assert "g_sensitivity" in {named.cause for named in explanation.findings.causes}
+    samples = load_samples(other.recording, other.board)
+    begins_with_a_rest = without(samples, 1.0, 3.3)
+    held_out = prepare_held_out(
+        other.recording, other.board, explanation.solution_extended, begins_with_a_rest
+    )
+    fitted = held_out.fit_model(explanation.solution_extended)
+    assert not fitted.left_out
+
+
+def without(samples: GyroSamples, begin_s: float, end_s: float) -> GyroSamples:
+    """Return samples without those between two times."""
+    is_used = (samples.time_s < begin_s) | (samples.time_s > end_s)
+    names = ("time_s", "host_s", "number", "segment", "rate_rad_s", "usable")
+    chosen = {name: getattr(samples, name)[is_used] for name in names}
+    return replace(samples, temperature_degc=None, **chosen)
