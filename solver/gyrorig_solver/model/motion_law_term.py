@@ -28,6 +28,8 @@ class MotionLawTerm(AngleTerm):
 
     def missing_excitation(self, state: SignalState) -> str | None:
         """Return that the unit does not move, or None."""
+        if not state.has_angles:
+            return NO_ANGLES
         return None if _moves(state) else "the unit does not move; record a program that moves it"
 
 

@@ -64,6 +64,8 @@ class GSensitivity(LinearTerm):
 
     def missing_excitation(self, state: SignalState) -> str | None:
         """Return why one tilt cannot separate it from a bias, or None."""
+        if not state.has_angles:
+            return NO_ANGLES
         tilt = state.tilt_rad[state.motion_known]
         if tilt.size == 0 or float(np.ptp(tilt)) < _MIN_TILT_RANGE_RAD:
             return "the board rested at one tilt only; rest at four tilts that are far apart"
