@@ -4,6 +4,7 @@ What to use when: `write_streams` for measured streams of any format. The whole 
 before anything is written; after an error no file remains.
 """
 
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -80,6 +81,7 @@ def write_streams(
             f"the data {streams.source} contain no rates of a gyroscope",
             "give, in addition, a file with the rates of the gyroscope",
         )
+    _check_names(boards, streams.source)
     encoded = {BoardId(b.name): encode_samples(b, streams.origin_ns) for b in boards}
     if unit_recording is not None:
         return _write_beside(streams, encoded, boards, out, unit_recording)
@@ -185,6 +187,16 @@ def _check_recording_name(out: Path) -> None:
             f"the name of the output file {out.name} does not end in .mcap",
             "give a name that ends in .mcap with --output",
         )
+
+
+def _check_names(boards: Sequence[MeasuredBoard], source: str) -> None:
+    for name, count in Counter(board.name for board in boards).items():
+        if count > 1:
+            raise UsageError(
+                f"the data {source} contain {count} boards with the name {name}, but in one "
+                "recording each board needs another name",
+                "remove --board if it is given, or import each board alone",
+            )
 
 
 def _session_metadata(out: Path) -> dict[str, str]:

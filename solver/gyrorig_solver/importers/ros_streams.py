@@ -8,7 +8,6 @@ in m/s^2, temperatures in degC, quaternions x, y, z, w. The orientation in `sens
 reference, because it is computed from the same gyro.
 """
 
-import re
 from array import array
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
@@ -18,6 +17,7 @@ import numpy as np
 
 from gyrorig_protocol.errors import InputError, UsageError
 from gyrorig_solver.data import FloatArray, IntArray
+from gyrorig_solver.importers.board_names import board_name, unique_names
 from gyrorig_solver.importers.import_times import order_by_time, seconds_since
 from gyrorig_solver.importers.measured_streams import (
     AccelStream,
@@ -151,7 +151,11 @@ def read_ros_streams(
         if not chosen:
             notes.append(f"temperatures are left out: {_list_topics(temperatures)}; use --topic")
         temperatures = chosen
-    boards = [_board(topic, temperatures[:1], origin_ns, options) for topic in imus]
+    names = unique_names([options.board or board_name(topic.name, "IMU") for topic in imus])
+    boards = [
+        _board(topic, name, temperatures[:1], origin_ns, options)
+        for topic, name in zip(imus, names, strict=True)
+    ]
     return MeasuredStreams(
         source=source,
         boards=tuple(boards),
@@ -251,7 +255,7 @@ def _topic_notes(topic: _Topic) -> list[str]:
 
 
 def _board(
-    topic: _Topic, temperatures: list[_Topic], origin_ns: int, options: ImportOptions
+    topic: _Topic, name: str, temperatures: list[_Topic], origin_ns: int, options: ImportOptions
 ) -> MeasuredBoard:
     time_s = seconds_since(topic.stamp_ns, origin_ns)
     accel = topic.values[:, 3:]
@@ -261,9 +265,8 @@ def _board(
         temperature = TemperatureStream(
             stream.values[:, 0], seconds_since(stream.stamp_ns, origin_ns)
         )
-    name = re.sub(r"[^A-Za-z0-9]+", "-", topic.name).strip("-")[:32].strip("-") or "IMU"
     return MeasuredBoard(
-        options.board or name,
+        name,
         GyroStream(
             time_s,
             topic.values[:, :3],

@@ -14,6 +14,7 @@ import numpy as np
 from gyrorig_protocol.documents import parse_yaml
 from gyrorig_protocol.errors import InputError, UsageError
 from gyrorig_solver.data import FloatArray, IntArray
+from gyrorig_solver.importers.board_names import board_name
 from gyrorig_solver.importers.import_times import order_by_time, seconds_since
 from gyrorig_solver.importers.map_keys import TableLayout
 from gyrorig_solver.importers.matrix_attitudes import quaternions_of_matrices
@@ -149,14 +150,13 @@ def _board(
     indices = np.arange(stamp_ns.size, dtype=np.float64)[:, None]
     ordered_ns, picked = order_by_time(stamp_ns, indices, folder.name, notes)
     values = values[picked[:, 0].astype(np.int64)]
-    name = re.sub(r"[^A-Za-z0-9]+", "-", folder.name).strip("-")[:32].strip("-") or "imu0"
     rate_hz = _sensor_yaml(folder).get("rate_hz")
     time_s = seconds_since(ordered_ns, origin_ns)
     kind, reason = choose_stamp_kind(ordered_ns, None, options.stamp)
     if kind == "arrival":
         notes.append(f"{folder.name}: its timestamps are times of arrival ({reason})")
     return MeasuredBoard(
-        options.board or name,
+        options.board or board_name(folder.name, "imu0"),
         GyroStream(
             time_s,
             values[:, :3],

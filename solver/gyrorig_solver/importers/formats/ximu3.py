@@ -7,13 +7,14 @@ orientation of the sensor relative to the Earth; `Command.json` has the answer t
 """
 
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import islice
 from pathlib import Path
 
 import numpy as np
 
 from gyrorig_protocol.errors import InputError
+from gyrorig_solver.importers.board_names import unique_names
 from gyrorig_solver.importers.measured_streams import (
     STANDARD_GRAVITY_M_S2,
     AccelStream,
@@ -66,12 +67,13 @@ class Ximu3:
                 "remove --board, or give the folder of one device",
             )
         boards = [_read_board(folder, options) for folder in folders]
-        poses, note = _read_poses(SourceTables(folders[0]), options)
+        boards, name_notes = _name_unknown_devices(boards, folders)
+        poses, pose_notes = _read_poses(SourceTables(folders[0]), options)
         return MeasuredStreams(
             f"imported from {source.name}: log of an x-IMU3",
             tuple(boards),
             poses=poses,
-            notes=tuple(note),
+            notes=(*name_notes, *pose_notes),
         )
 
 
@@ -108,6 +110,21 @@ def _read_board(folder: Path, options: ImportOptions) -> MeasuredBoard:
         temperature,
         {"sensor": options.sensor or "x-IMU3", "uid": serial or "unknown", "model": "x-IMU3"},
     )
+
+
+def _name_unknown_devices(
+    boards: list[MeasuredBoard], folders: list[Path]
+) -> tuple[list[MeasuredBoard], list[str]]:
+    """Return the boards, each device without a serial number with a name of its own, and notes."""
+    unknown = [k for k, board in enumerate(boards) if board.metadata["uid"] == "unknown"]
+    if len(unknown) < 2:
+        return boards, []
+    named, notes = list(boards), []
+    names = unique_names([boards[k].name for k in unknown])
+    for k, name in zip(unknown, names, strict=True):
+        named[k] = replace(boards[k], name=name)
+        notes.append(f"{folders[k].name} contains no serial number; its device has the name {name}")
+    return named, notes
 
 
 def _serial_number(folder: Path) -> str:
