@@ -63,7 +63,7 @@ def apply_to_table(
     """Write `source` to `out` with columns of the true rates, in rad/s.
 
     Raises:
-        InputError: `source` is not a table, or a column is missing.
+        InputError: `source` is not a table, or a column is missing or occurs more than once.
         UsageError: `out` exists, or a needed column is not given.
         MachineError: the disk cannot be written; no file remains.
     """
@@ -185,6 +185,12 @@ class _TableWriter:
                 raise InputError(
                     f"the table {self._name} has no column {name!r}",
                     f"choose one of the columns {column_names}",
+                )
+            if names.count(name) > 1:
+                raise InputError(
+                    f"the table {self._name} has {names.count(name)} columns with the name "
+                    f"{name!r}",
+                    "give each column in the header of the table another name",
                 )
         return [names.index(name) for name in self._columns.names]
 

@@ -76,6 +76,7 @@ def test_a_row_without_a_reading_has_no_rate(golden: Path, tmp_path: Path) -> No
     ("text", "message"),
     [
         ("gx,gy\n1,2\n", "no column 'gz'"),
+        ("gx,gy,gz, gx\n1,2,3,4\n", "the table in.csv has 2 columns with the name 'gx'"),
         ("gx,gy,gz\n", "a header, but no rows"),
         ("gx,gy,gz\n1,2\n", "row 1 of the table in.csv has only 2 columns"),
         ("gx,gy,gz\n1,2,3\n1,x,3\n", "has 'x' in the column gy, which is not a number"),
