@@ -185,19 +185,19 @@ def turn_text(turn: MappedTurn) -> str:
 def _read_phases(
     columns: MeasurementColumns, mapping: ImportMap, gyro: GyroStream, folder: Path
 ) -> list[MeasuredPhase]:
-    phases = [MeasuredPhase("static", span) for span in mapping.static]
-    phases += [MeasuredPhase("turn", turn.over, turn_text(turn)) for turn in mapping.turns]
+    board = mapping.board
+    phases = [MeasuredPhase("static", board, span) for span in mapping.static]
+    phases += [MeasuredPhase("turn", board, turn.over, turn_text(turn)) for turn in mapping.turns]
     if mapping.sections:
-        phases += _phases_from_file(mapping.sections, folder)
+        phases += _phases_from_file(mapping.sections, board, folder)
     if mapping.static_mask:
         at = columns.matrix([mapping.static_mask.key], 1)[:, 0]
-        phases += _phases_from_mask(
-            at, mapping.static_mask.value, mapping.static_mask.shortest_s, gyro
-        )
+        spans = _rests_of_mask(at, mapping.static_mask.value, mapping.static_mask.shortest_s, gyro)
+        phases += [MeasuredPhase("static", board, span) for span in spans]
     return phases
 
 
-def _phases_from_file(sections: SectionFile, folder: Path) -> list[MeasuredPhase]:
+def _phases_from_file(sections: SectionFile, board: str, folder: Path) -> list[MeasuredPhase]:
     path = folder / sections.name
     try:
         if path.stat().st_size > MAX_SECTION_FILE_BYTES:
@@ -220,12 +220,12 @@ def _phases_from_file(sections: SectionFile, folder: Path) -> list[MeasuredPhase
             "correct the section list",
         ) from error
     phases = [
-        MeasuredPhase("static", _span_from_file(document, key, path.name))
+        MeasuredPhase("static", board, _span_from_file(document, key, path.name))
         for key in sections.static
     ]
     for key, turn in sections.turns.items():
         span = _span_from_file(document, key, path.name)
-        phases.append(MeasuredPhase("turn", span, turn_text(turn)))
+        phases.append(MeasuredPhase("turn", board, span, turn_text(turn)))
     return phases
 
 
@@ -246,9 +246,9 @@ def _span_from_file(document: object, key: str, name: str) -> SectionSpan:
     return SectionSpan(start=start, end=end)
 
 
-def _phases_from_mask(
+def _rests_of_mask(
     mask: FloatArray, value: float, shortest_s: float, gyro: GyroStream
-) -> list[MeasuredPhase]:
+) -> list[SectionSpan]:
     if mask.size < len(gyro.values):
         raise InputError(
             f"the column of `static_mask`, which marks the rests, has {mask.size} rows, but the "
@@ -259,9 +259,8 @@ def _phases_from_mask(
     row = np.flatnonzero(np.all(np.isfinite(gyro.values), axis=1))
     still = np.concatenate([[False], mask[row] == value, [False]])
     edges = np.flatnonzero(np.diff(still.astype(np.int8)))
-    phases = []
+    spans = []
     for first, end in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
         if gyro.time_s[row[end - 1]] - gyro.time_s[row[first]] >= shortest_s:
-            span = SectionSpan(start=int(row[first]), end=int(row[end - 1]) + 1)
-            phases.append(MeasuredPhase("static", span))
-    return phases
+            spans.append(SectionSpan(start=int(row[first]), end=int(row[end - 1]) + 1))
+    return spans

@@ -1,6 +1,6 @@
 """Rests and known turns of an import: the samples that they contain, and their times.
 
-What to use when: `find_phases` for the phases of all streams, with times of the first board.
+What to use when: `find_phases` for the phases of one board, by the times of its samples.
 """
 
 from collections.abc import Sequence
@@ -38,8 +38,8 @@ def find_phases(
     the samples, it keeps its stated begin or end, because the board turns in the gap, too.
 
     Args:
-        phases: rests and known turns.
-        imu: the samples of the first board.
+        phases: rests and known turns of one board.
+        imu: the samples of this board.
         sample_ns: the times of these samples, shape (n,).
 
     Raises:

@@ -29,6 +29,7 @@ from gyrorig_solver.importers.import_times import check_times, nanoseconds
 from gyrorig_solver.importers.imported_phases import SessionPhase, find_phases
 from gyrorig_solver.importers.measured_streams import (
     MeasuredBoard,
+    MeasuredPhase,
     MeasuredStreams,
     PoseStream,
 )
@@ -85,15 +86,12 @@ def write_streams(
     encoded = {BoardId(b.name): encode_samples(b, streams.origin_ns) for b in boards}
     if unit_recording is not None:
         return _write_beside(streams, encoded, boards, out, unit_recording)
-    first = next(iter(encoded.values()))
-    gyro = boards[0].gyro
-    arrives_in_bursts = bool(streams.phases) and gyro is not None and gyro.stamp == "arrival"
-    sample_ns = _sample_times_ns(first) if arrives_in_bursts else first.host_time_ns
-    phases = find_phases(streams.phases, first, sample_ns)
+    phases, dated_ns = _find_all_phases(streams.phases, boards, encoded)
     poses_ns, pose_notes = _pose_times_ns(streams)
     starts = [int(imu.host_time_ns[0]) for imu in encoded.values()]
     begins = [phase.begin_ns for phase in phases]
-    lowest_ns = min(int(sample_ns.min()), *starts, *begins, *poses_ns[:1].tolist())
+    sampled = [int(sample_ns.min()) for sample_ns in dated_ns]
+    lowest_ns = min([*starts, *sampled, *begins, *poses_ns[:1].tolist()])
     notes = [*streams.notes, *(note for imu in encoded.values() for note in imu.notes)]
     notes += pose_notes
     for board in boards:
@@ -110,6 +108,7 @@ def write_streams(
             replace(phase, begin_ns=phase.begin_ns + shift_ns, end_ns=phase.end_ns + shift_ns)
             for phase in phases
         ]
+        dated_ns = [sample_ns + shift_ns for sample_ns in dated_ns]
     metadata = {"gyrorig": _session_metadata(out)}
     metadata |= {f"gyrorig.board.{name}": imu.metadata for name, imu in encoded.items()}
     if streams.poses is not None and streams.poses.stamp == "arrival":
@@ -118,7 +117,7 @@ def write_streams(
         metadata["gyrorig.reference"] = {"stamp": "arrival", **rate}
     if streams.gravity_m_s2 is not None:
         metadata["gyrorig.site"] = {"gravity_m_s2": repr(streams.gravity_m_s2)}
-    messages = _session_messages([streams.source, *notes], encoded, phases, sample_ns + shift_ns)
+    messages = _session_messages([streams.source, *notes], encoded, phases, dated_ns)
     if streams.poses is not None:
         messages += _pose_messages(streams.poses, poses_ns + shift_ns)
     path = _write_recording(out, metadata, streams.attachments, encoded, messages)
@@ -209,6 +208,26 @@ def _session_metadata(out: Path) -> dict[str, str]:
     }
 
 
+def _find_all_phases(
+    phases: Sequence[MeasuredPhase],
+    boards: Sequence[MeasuredBoard],
+    encoded: Mapping[BoardId, ImuStream],
+) -> tuple[list[SessionPhase], list[IntArray]]:
+    """Return the phases of all boards, and the sample times of each board that has phases."""
+    session_phases: list[SessionPhase] = []
+    dated_ns = []
+    for board in boards:
+        of_board = [phase for phase in phases if phase.board == board.name]
+        if not of_board:
+            continue
+        imu = encoded[BoardId(board.name)]
+        arrives_in_bursts = board.gyro is not None and board.gyro.stamp == "arrival"
+        sample_ns = _sample_times_ns(imu) if arrives_in_bursts else imu.host_time_ns
+        session_phases += find_phases(of_board, imu, sample_ns)
+        dated_ns.append(sample_ns)
+    return session_phases, dated_ns
+
+
 def _sample_times_ns(imu: ImuStream) -> IntArray:
     """Return the sample times of samples that arrived in bursts, by the offline clock map.
 
@@ -229,13 +248,13 @@ def _session_messages(
     notes: Sequence[str],
     encoded: Mapping[BoardId, ImuStream],
     phases: Sequence[SessionPhase],
-    sample_ns: IntArray,
+    dated_ns: Sequence[IntArray],
 ) -> list[DatedMessage]:
-    """Return the session's events; `sample_ns` are the sample times of the first board."""
-    hosts = [imu.host_time_ns for imu in encoded.values()]
+    """Return the session's events; `dated_ns` are the sample times of boards with phases."""
+    times_ns = [*dated_ns, *(imu.host_time_ns for imu in encoded.values())]
     begins, ends = [p.begin_ns for p in phases], [p.end_ns for p in phases]
-    start = min(int(sample_ns[0]), *(int(host_ns[0]) for host_ns in hosts), *begins)
-    end = max(int(sample_ns[-1]), *(int(host_ns[-1]) for host_ns in hosts), *ends)
+    start = min([*(int(time_ns[0]) for time_ns in times_ns), *begins])
+    end = max([*(int(time_ns[-1]) for time_ns in times_ns), *ends])
     messages = [_session_event(start, EventKind.PHASE_BEGIN, "program", "")]
     messages += [_session_event(start, EventKind.NOTE, "program", text) for text in notes]
     for phase in phases:

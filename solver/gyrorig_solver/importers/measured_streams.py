@@ -94,9 +94,10 @@ class MeasuredBoard:
 
 @dataclass(frozen=True, slots=True)
 class MeasuredPhase:
-    """A rest or a known turn over some rows or times of the first board."""
+    """A rest or a known turn over some rows or times of one board."""
 
     name: Literal["static", "turn"]
+    board: str  # whose gyro rows or times the span specifies
     span: SectionSpan  # times are since `origin_ns`
     text: str = ""  # of a turn, from `turn_text`
 

@@ -1,5 +1,6 @@
 """EuRoC folders and TUM trajectories: imported by one command, solved, compared with the truth."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -13,10 +14,11 @@ from tests.support.foreign_files import (
 from tests.support.simulated_attitudes import SimulatedAttitudes, simulate_attitudes
 from tests.support.solved_truth import check_solved
 
+from gyrorig_protocol.documents import convert_document, parse_yaml
 from gyrorig_protocol.errors import InputError, UsageError
 from gyrorig_protocol.recording.reader import read_recording
 from gyrorig_solver import cli
-from gyrorig_solver.importers import ImportOptions, find_format, import_files
+from gyrorig_solver.importers import ImportMap, ImportOptions, find_format, import_files
 
 MAP = """
 schema: gyrorig/import/1
@@ -77,6 +79,28 @@ def test_a_trajectory_joins_the_gyro_of_another_file(
     joined = ["import", "log.csv", "--reference", "truth.txt", "--map", "map.yaml", "-o", "b.mcap"]
     assert cli.run(joined) == 0
     assert "/reference/attitude" in read_recording(tmp_path / "b.mcap").topics
+
+
+def test_a_rest_has_the_times_of_the_board_of_its_own_file(
+    short: SimulatedAttitudes, tmp_path: Path
+) -> None:
+    """The log has half the rate of the first board, so its row numbers give other times there."""
+    folder = write_euroc_folder(tmp_path / "eu", short)
+    half = replace(
+        short,
+        gyro_time_s=short.gyro_time_s[::2] + START_NS * 1e-9,
+        gyro_rad_s=short.gyro_rad_s[::2],
+    )
+    write_gyro_table(tmp_path / "log.csv", half)
+    text = MAP + "static: [{start: 100, end: 300}]\n"
+    mapping = convert_document(parse_yaml(text, "map"), ImportMap, "map")
+    summary = import_files(
+        [folder, tmp_path / "log.csv"], tmp_path / "out.mcap", ImportOptions(mapping)
+    )
+    assert (summary.board, summary.other_boards) == ("imu0", {"IMU-7": 500})
+    events = read_recording(summary.path).events()
+    times_s = [(e.host_time_ns - START_NS) * 1e-9 for e in events if e.phase == "static"]
+    assert times_s == pytest.approx([1.0, 2.99], abs=0.01)
 
 
 def test_files_without_a_common_time_are_refused(short: SimulatedAttitudes, tmp_path: Path) -> None:
