@@ -105,10 +105,13 @@ def _accel_stream(columns: MeasurementColumns, part: AccelColumns, rows: int) ->
     if part.time is None:
         _check_rows(len(values), rows, "accel")
     time_s = read_times(columns, part.time, len(values), "accel") if part.time else None
+    stamp = part.time.stamp if part.time else "sampled"
     if part.unit == "counts":
-        return AccelStream(values - np.asarray(part.offset_counts), time_s, part.scale_m_s2)
+        counts = values - np.asarray(part.offset_counts)
+        return AccelStream(counts, time_s, part.scale_m_s2, stamp)
     values = values - np.asarray(part.zero)
-    return AccelStream(values * (STANDARD_GRAVITY_M_S2 if part.unit == "g" else 1.0), time_s)
+    unit_m_s2 = STANDARD_GRAVITY_M_S2 if part.unit == "g" else 1.0
+    return AccelStream(values * unit_m_s2, time_s, stamp=stamp)
 
 
 def _temperature_stream(
@@ -118,7 +121,7 @@ def _temperature_stream(
     if part.time is None:
         _check_rows(len(values), rows, "temperature")
     time_s = read_times(columns, part.time, len(values), "temperature") if part.time else None
-    return TemperatureStream(values, time_s)
+    return TemperatureStream(values, time_s, part.time.stamp if part.time else "sampled")
 
 
 def _pose_stream(

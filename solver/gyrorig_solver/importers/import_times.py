@@ -1,5 +1,7 @@
 """Times of imported streams, and values of one stream at the samples of another."""
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from gyrorig_protocol.errors import InputError
@@ -10,6 +12,15 @@ from gyrorig_solver.importers.measurement_columns import MeasurementColumns
 UNIT_S = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 MAX_DISORDER_S = 0.1  # of the stamps of attitudes, far above the jitter of a link
 MAX_TIME_S = 2**31 - 1  # builtin_interfaces/Time counts seconds in an int32
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class GyroTimes:
+    """The times of a gyro, and the rows that are samples."""
+
+    time_s: FloatArray  # (n,), of all rows
+    row: IntArray  # (k,), the rows with a rate
+    period_s: float  # of the samples
 
 
 def read_times(columns: MeasurementColumns, base: TimeBase, rows: int, stream: str) -> FloatArray:
@@ -130,16 +141,27 @@ def order_by_time(
 def values_at_samples(
     values: FloatArray,
     base_s: FloatArray | None,
-    time_s: FloatArray,
-    row: IntArray,
+    gyro: GyroTimes,
     stream: str,
     notes: list[str],
 ) -> FloatArray:
-    """Return the values at the samples of the gyro, nan if none is near.
+    """Return the values at the samples of the gyro, nan if none is near, shape (k, columns).
 
     A stream with other times is not resampled. Each sample gets the nearest value within half
     a sample period, and a note gives the largest shift.
+
+    Args:
+        values: shape (m, columns).
+        base_s: their times, shape (m,); None: the times of the gyro.
+        gyro: the times and the samples of the gyro.
+        stream: the name of the stream, for the notes.
+        notes: texts for a reader; is appended to.
+
+    Raises:
+        InputError: without times, the stream does not have the rows of the gyro; or it has
+            fewer than two rows.
     """
+    time_s, row = gyro.time_s, gyro.row
     if base_s is None:
         if len(values) != time_s.size:
             raise InputError(
@@ -160,7 +182,7 @@ def values_at_samples(
     nearer = np.abs(base_s[after - 1] - time_s[row]) <= np.abs(base_s[after] - time_s[row])
     nearest = np.where(nearer, after - 1, after)
     distance_s = np.abs(base_s[nearest] - time_s[row])
-    is_near = distance_s <= 0.5 * float(np.median(np.diff(time_s)))
+    is_near = distance_s <= 0.5 * gyro.period_s
     largest_ms = 1e3 * float(distance_s[is_near].max()) if is_near.any() else 0.0
     notes.append(
         f"{stream}: each sample has the nearest value in time; the largest time difference is "

@@ -42,6 +42,7 @@ class AccelStream:
     values: FloatArray  # (m, 3), m/s^2, or counts if `scale_m_s2` is given
     time_s: FloatArray | None = None  # (m,); None: the times of the gyro
     scale_m_s2: float | None = None
+    stamp: StampKind = "sampled"  # arrival times can repeat
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -50,6 +51,7 @@ class TemperatureStream:
 
     temperature_degc: FloatArray  # (m,)
     time_s: FloatArray | None = None  # (m,); None: the times of the gyro
+    stamp: StampKind = "sampled"  # arrival times can repeat
 
 
 @dataclass(frozen=True, slots=True, eq=False)

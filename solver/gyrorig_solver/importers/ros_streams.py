@@ -263,7 +263,7 @@ def _board(
     if temperatures:
         stream = temperatures[0]
         temperature = TemperatureStream(
-            stream.values[:, 0], seconds_since(stream.stamp_ns, origin_ns)
+            stream.values[:, 0], seconds_since(stream.stamp_ns, origin_ns), stream.stamp
         )
     return MeasuredBoard(
         name,

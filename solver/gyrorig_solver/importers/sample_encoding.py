@@ -11,7 +11,12 @@ import numpy as np
 from gyrorig_protocol.errors import InputError
 from gyrorig_protocol.recording.messages import ImuStatus
 from gyrorig_solver.data import BoolArray, FloatArray, IntArray
-from gyrorig_solver.importers.import_times import check_times, nanoseconds, values_at_samples
+from gyrorig_solver.importers.import_times import (
+    GyroTimes,
+    check_times,
+    nanoseconds,
+    values_at_samples,
+)
 from gyrorig_solver.importers.measured_streams import (
     AccelStream,
     GyroStream,
@@ -71,21 +76,20 @@ def encode_samples(board: MeasuredBoard, origin_ns: int) -> ImuStream:
     row = np.flatnonzero(is_finite)
     status = np.zeros(row.size, dtype=np.int64)
     metadata = {"uid": "unknown", "link": "file"} | board.metadata
+    number = row if gyro.number is None else gyro.number[row]
+    times = GyroTimes(gyro.time_s, row, _sample_period_s(gyro, row, number))
     metadata["gyro_scale_rad_s"] = repr(gyro.scale_rad_s or GYRO_COUNT_RAD_S)
     accel = None
     if board.accel:
-        accel, valid = _accel_counts(board.accel, origin_ns, gyro.time_s, row, notes)
+        accel, valid = _accel_counts(board.accel, origin_ns, times, notes)
         status |= np.where(valid, int(ImuStatus.ACCEL_VALID), 0)
         metadata["accel_scale_m_s2"] = repr(board.accel.scale_m_s2 or ACCEL_COUNT_M_S2)
     temperature = np.zeros(row.size, dtype=np.int64)
     if board.temperature:
-        temperature, valid = _temperature_counts(
-            board.temperature, origin_ns, gyro.time_s, row, notes
-        )
+        temperature, valid = _temperature_counts(board.temperature, origin_ns, times, notes)
         status |= np.where(valid, int(ImuStatus.TEMPERATURE_VALID), 0)
         metadata["temperature_scale_c"] = repr(TEMPERATURE_COUNT_C)
         metadata["temperature_offset_c"] = repr(TEMPERATURE_OFFSET_C)
-    number = row if gyro.number is None else gyro.number[row]
     device_time, clock = _device_ticks(gyro, origin_ns, row, number)
     if gyro.rate_hz is not None:
         clock["odr_hz"] = repr(gyro.rate_hz)
@@ -112,13 +116,24 @@ def _device_ticks(
     count is the device clock: the lower envelope of the arrivals gives its true rate.
     """
     if gyro.stamp == "arrival":
-        rate_hz = gyro.rate_hz
-        if rate_hz is None:
-            span_s = max(float(gyro.time_s[row[-1]] - gyro.time_s[row[0]]), 1e-9)
-            rate_hz = float(number[-1] - number[0]) / span_s
+        rate_hz = _arrival_rate_hz(gyro, row, number)
         return number.astype(np.int64), {"tick_hz": repr(rate_hz), "counter_bits": "64"}
     ticks = origin_ns + nanoseconds(gyro.time_s[row])
     return ticks, {"tick_hz": "1000000000.0", "counter_bits": "64"}
+
+
+def _arrival_rate_hz(gyro: GyroStream, row: IntArray, number: IntArray) -> float:
+    if gyro.rate_hz is not None:
+        return gyro.rate_hz
+    span_s = max(float(gyro.time_s[row[-1]] - gyro.time_s[row[0]]), 1e-9)
+    return float(number[-1] - number[0]) / span_s
+
+
+def _sample_period_s(gyro: GyroStream, row: IntArray, number: IntArray) -> float:
+    """Return the sample period; the steps of arrival times do not show it, for many can be 0."""
+    if gyro.stamp == "arrival":
+        return 1.0 / _arrival_rate_hz(gyro, row, number)
+    return float(np.median(np.diff(gyro.time_s)))
 
 
 def _gyro_counts(gyro: GyroStream, row: IntArray) -> IntArray:
@@ -129,12 +144,11 @@ def _gyro_counts(gyro: GyroStream, row: IntArray) -> IntArray:
 
 
 def _accel_counts(
-    accel: AccelStream, origin_ns: int, time_s: FloatArray, row: IntArray, notes: list[str]
+    accel: AccelStream, origin_ns: int, gyro: GyroTimes, notes: list[str]
 ) -> tuple[IntArray, BoolArray]:
     """Return counts at the samples of the gyro, and their validity."""
-    picked = values_at_samples(
-        accel.values, _checked(accel.time_s, origin_ns, "accel"), time_s, row, "accel", notes
-    )
+    _check_stream_times(accel, origin_ns, "accel")
+    picked = values_at_samples(accel.values, accel.time_s, gyro, "accel", notes)
     valid = np.all(np.isfinite(picked), axis=1)
     picked = np.where(valid[:, None], picked, 0.0)
     if accel.scale_m_s2 is not None:
@@ -144,24 +158,19 @@ def _accel_counts(
 
 
 def _temperature_counts(
-    stream: TemperatureStream,
-    origin_ns: int,
-    time_s: FloatArray,
-    row: IntArray,
-    notes: list[str],
+    stream: TemperatureStream, origin_ns: int, gyro: GyroTimes, notes: list[str]
 ) -> tuple[IntArray, BoolArray]:
     values = stream.temperature_degc[:, None]
-    base_s = _checked(stream.time_s, origin_ns, "temperature")
-    picked = values_at_samples(values, base_s, time_s, row, "temperature", notes)[:, 0]
+    _check_stream_times(stream, origin_ns, "temperature")
+    picked = values_at_samples(values, stream.time_s, gyro, "temperature", notes)[:, 0]
     counts = np.rint((picked - TEMPERATURE_OFFSET_C) / TEMPERATURE_COUNT_C)
     valid = np.isfinite(counts) & (np.abs(counts) <= 32767)
     return np.where(valid, counts, 0.0).astype(np.int64), valid
 
 
-def _checked(time_s: FloatArray | None, origin_ns: int, stream: str) -> FloatArray | None:
-    if time_s is not None:
-        check_times(time_s, origin_ns, stream)
-    return time_s
+def _check_stream_times(stream: AccelStream | TemperatureStream, origin_ns: int, name: str) -> None:
+    if stream.time_s is not None:
+        check_times(stream.time_s, origin_ns, name, may_repeat=stream.stamp == "arrival")
 
 
 def _whole_counts(values: FloatArray, quantity: str) -> IntArray:
