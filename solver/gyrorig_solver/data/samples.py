@@ -163,16 +163,20 @@ def load_samples(recording: Recording, board: str) -> GyroSamples:
         )
     origin_ns = int(raw.host_time_ns[0])
     host_s = _seconds_in_place(raw.host_time_ns, origin_ns)
+    # an imported recording counts the rows of its source, whose number has no wraps
+    sequence_bits = 32 if metadata.get("link") == "file" else None
     counts_samples = has_shared_times(raw.device_time, raw.sequence)
     pings = None if counts_samples else _read_pings(recording, board, origin_ns)
     nearest_samples = NearestSamples.of(pings, raw.device_time, host_s) if pings else None
     clock = (
-        map_sample_counter(raw.sequence, host_s)
+        map_sample_counter(raw.sequence, host_s, sequence_bits)
         if counts_samples
-        else _map_board_clock(raw.device_time, host_s, raw.sequence, metadata)
+        else _map_board_clock(raw.device_time, host_s, raw.sequence, metadata, sequence_bits)
     )
     latency_bounds = _read_latency_bounds(pings, nearest_samples, clock, metadata)
-    numbering = number_samples(raw.sequence, clock.time_s, clock.segment, overwrite=True)
+    numbering = number_samples(
+        raw.sequence, clock.time_s, clock.segment, sequence_bits=sequence_bits, overwrite=True
+    )
     _subtract_latency(clock.time_s, latency_bounds)
     exchanges = _clock_exchanges(pings, nearest_samples, clock, metadata, origin_ns)
     late = int(np.count_nonzero(clock.late))
@@ -235,14 +239,20 @@ def _seconds_in_place(time_ns: IntArray, origin_ns: int) -> FloatArray:
 
 
 def _map_board_clock(
-    ticks: IntArray, host_s: FloatArray, sequence: CounterArray, metadata: Mapping[str, str]
+    ticks: IntArray,
+    host_s: FloatArray,
+    sequence: CounterArray,
+    metadata: Mapping[str, str],
+    sequence_bits: int | None,
 ) -> ClockMap:
     """Map device time; a source with one time column uses it for both clocks, in ns."""
     tick_hz = positive_number(metadata, "tick_hz")
     if tick_hz is None or (metadata.get("link") == "file" and not np.any(np.diff(ticks))):
         ticks, tick_hz = np.rint(host_s * 1e9).astype(np.int64), 1e9
     bits = int(positive_number(metadata, "counter_bits") or 64)
-    return map_clock(ticks, host_s, tick_hz, bits, sequence, overwrite=True)
+    return map_clock(
+        ticks, host_s, tick_hz, bits, sequence, sequence_bits=sequence_bits, overwrite=True
+    )
 
 
 def _read_pings(recording: Recording, board: str, origin_ns: int) -> PingExchanges | None:

@@ -11,6 +11,9 @@ from gyrorig_solver.importers.measurement_columns import MeasurementColumns
 
 UNIT_S = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 MAX_DISORDER_S = 0.1  # of the stamps of attitudes, far above the jitter of a link
+# A longer step of the times, in sample periods and in s, is reported.
+MAX_STEP_PERIODS = 100.0
+MAX_STEP_S = 1.0
 MAX_TIME_S = 2**31 - 1  # builtin_interfaces/Time counts seconds in an int32
 
 
@@ -81,6 +84,26 @@ def check_times(
             "sort the rows and remove duplicates. If the times are arrival times, set "
             "`stamp: arrival` under `time` in the import map",
         )
+
+
+def describe_jump(time_s: FloatArray, period_s: float, board: str) -> list[str]:
+    """Return a note on the largest step of the times far above the sample period, or no note.
+
+    Args:
+        time_s: of all rows, shape (n,).
+        period_s: the sample period.
+        board: the name of the board.
+    """
+    step_s = np.diff(time_s)
+    jumps = int(np.count_nonzero(step_s > max(MAX_STEP_PERIODS * period_s, MAX_STEP_S)))
+    if not jumps:
+        return []
+    at = int(np.argmax(step_s))
+    more = f", and at {jumps - 1} other rows by less" if jumps > 1 else ""
+    return [
+        f"{board}: the times jump by {step_s[at]:.6g} s at row {at + 2}{more}; if the log has no "
+        "pause there, its clock was set, so import the rows before and after it separately"
+    ]
 
 
 def sample_rate(columns: MeasurementColumns, base: TimeBase) -> float:

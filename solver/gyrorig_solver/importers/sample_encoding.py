@@ -14,6 +14,7 @@ from gyrorig_solver.data import BoolArray, FloatArray, IntArray
 from gyrorig_solver.importers.import_times import (
     GyroTimes,
     check_times,
+    describe_jump,
     nanoseconds,
     values_at_samples,
 )
@@ -78,6 +79,7 @@ def encode_samples(board: MeasuredBoard, origin_ns: int) -> ImuStream:
     metadata = {"uid": "unknown", "link": "file"} | board.metadata
     number = row if gyro.number is None else gyro.number[row]
     times = GyroTimes(gyro.time_s, row, _sample_period_s(gyro, row, number))
+    notes += describe_jump(gyro.time_s, times.period_s, board.name)
     metadata["gyro_scale_rad_s"] = repr(gyro.scale_rad_s or GYRO_COUNT_RAD_S)
     accel = None
     if board.accel:

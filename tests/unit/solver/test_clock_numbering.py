@@ -126,3 +126,13 @@ def test_hull_of_pieces_is_the_hull_of_all(seed: int) -> None:
         pieces = lower_hull(x, y)
     assert np.array_equal(x[whole], x[pieces])
     assert np.array_equal(y[whole], y[pieces])
+
+
+def test_a_counter_of_known_width_has_no_wraps_in_a_long_gap() -> None:
+    """200 samples per s, and 600 s without samples: 120000 periods, which are two wraps."""
+    sequence = np.arange(2000, dtype=np.uint32)
+    time_s = sequence / 200.0 + np.where(sequence < 1000, 0.0, 600.0)
+    segment = np.zeros(2000, np.int64)
+    sequence[500:] += 1  # a lost sample: the order is not the number
+    assert number_samples(sequence, time_s, segment).lost == 2 * 2**16 + 1
+    assert number_samples(sequence, time_s, segment, sequence_bits=32).lost == 1

@@ -65,6 +65,7 @@ class TickStream:
         tick_hz: float,
         counter_bits: int,
         sequence: CounterArray | None,
+        sequence_bits: int | None = None,
     ) -> "TickStream":
         """Measure the sample period and its scatter."""
         modulus = 2**counter_bits if counter_bits < 63 else 0
@@ -87,11 +88,12 @@ class TickStream:
         scatter_s = float(np.median(np.abs(single_s - period_s))) if single_s.size else 0.0
         if period_s <= 0.0:
             sequence = None
-        is_32_bit = sequence is not None and int(sequence.max()) >= 2**16
+        if sequence_bits is None:
+            sequence_bits = 32 if sequence is not None and int(sequence.max()) >= 2**16 else 16
         max_disagreement_s = max(MIN_STEP_S, 12.0 * scatter_s)
         return cls(
             ticks, host_s, tick_hz, modulus, wrap_s, sequence,
-            2**32 if is_32_bit else 2**16, period_s, max_disagreement_s,
+            2**sequence_bits, period_s, max_disagreement_s,
         )  # fmt: skip
 
     def counter_lead_s(self, counted: FloatArray, passed_s: FloatArray) -> FloatArray:

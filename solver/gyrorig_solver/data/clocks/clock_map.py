@@ -52,6 +52,7 @@ def map_clock(
     counter_bits: int,
     sequence: CounterArray | None = None,
     *,
+    sequence_bits: int | None = None,
     overwrite: bool = False,
 ) -> ClockMap:
     """Return sample times from raw ticks and arrival times.
@@ -62,12 +63,17 @@ def map_clock(
         tick_hz: nominal ticks per second.
         counter_bits: width of the tick counter.
         sequence: the sample counter as sent, shape (n,), if there is one.
+        sequence_bits: width of the sample counter; None: 16 if no value exceeds 65535,
+            otherwise 32.
         overwrite: allows the use of the memory of `ticks` for the result and of `host_s` as
             work space; `host_s` is restored up to rounding. Saves 370 MB for 8 h at 800 Hz.
     """
     if not overwrite:
         ticks, host_s = np.array(ticks, np.int64), np.array(host_s, np.float64)
-    unwrapped = unwrap_ticks(ticks, host_s, tick_hz, counter_bits, sequence, overwrite=True)
+    unwrapped = unwrap_ticks(
+        ticks, host_s, tick_hz, counter_bits, sequence,
+        sequence_bits=sequence_bits, overwrite=True,
+    )  # fmt: skip
     edges = np.searchsorted(unwrapped.segment, np.arange(int(unwrapped.segment[-1]) + 2))
     floors: list[tuple[float, LatencyFloor]] = []
     times, lag_s = unwrapped.device_s, host_s  # in place, because each array of 8 h takes 184 MB

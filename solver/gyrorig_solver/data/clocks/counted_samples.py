@@ -30,18 +30,21 @@ def has_shared_times(ticks: IntArray, sequence: CounterArray) -> bool:
     return bool(is_shared and not is_same_time.all())
 
 
-def map_sample_counter(sequence: CounterArray, host_s: FloatArray) -> ClockMap:
+def map_sample_counter(
+    sequence: CounterArray, host_s: FloatArray, sequence_bits: int | None = None
+) -> ClockMap:
     """Return sample times from the counter of the samples and their arrival times.
 
     Args:
-        sequence: the sample counter as sent, shape (n,); it has 16 bits if no value exceeds 65535,
-            otherwise 32.
+        sequence: the sample counter as sent, shape (n,).
         host_s: arrival times, shape (n,), not decreasing.
+        sequence_bits: width of the sample counter; None: 16 if no value exceeds 65535,
+            otherwise 32.
     """
-    modulus = counter_modulus(sequence)
+    modulus = counter_modulus(sequence, sequence_bits)
     rate_hz = _sample_rate_hz(sequence, host_s, modulus)
     bits = modulus.bit_length() - 1
-    return map_clock(sequence.astype(np.int64), host_s, rate_hz, bits, sequence)
+    return map_clock(sequence.astype(np.int64), host_s, rate_hz, bits, sequence, sequence_bits=bits)
 
 
 def _sample_rate_hz(sequence: CounterArray, host_s: FloatArray, modulus: int) -> float:

@@ -29,7 +29,12 @@ class SampleNumbering:
 
 
 def number_samples(
-    sequence: CounterArray, time_s: FloatArray, segment: IntArray, *, overwrite: bool = False
+    sequence: CounterArray,
+    time_s: FloatArray,
+    segment: IntArray,
+    *,
+    sequence_bits: int | None = None,
+    overwrite: bool = False,
 ) -> SampleNumbering:
     """Return the numbers of the samples.
 
@@ -37,10 +42,14 @@ def number_samples(
         sequence: the sample counter as sent, shape (n,).
         time_s: of each sample, shape (n,); determines the wraps of the counter in a gap.
         segment: of each sample, not decreasing, shape (n,).
+        sequence_bits: width of the sample counter; None: 16 in a segment in which no value
+            exceeds 65535, otherwise 32.
         overwrite: allows the use of the memory of a 32-bit `sequence` for the result.
     """
     edges = np.searchsorted(segment, np.arange(int(segment[-1]) + 2)).tolist()
-    parts = [_NumberedSegment.of(sequence[a:b], time_s[a:b]) for a, b in pairwise(edges)]
+    parts = [
+        _NumberedSegment.of(sequence[a:b], time_s[a:b], sequence_bits) for a, b in pairwise(edges)
+    ]
     fits_32_bits = sequence.dtype.itemsize == 4 and all(part.span <= _MAX_INT32 for part in parts)
     number: CounterArray
     if fits_32_bits:
@@ -71,8 +80,11 @@ class _NumberedSegment:
     span: int = 0
 
     @classmethod
-    def of(cls, sequence: CounterArray, time_s: FloatArray) -> "_NumberedSegment":
-        n, modulus, period_s = sequence.size, counter_modulus(sequence), _period_s(time_s)
+    def of(
+        cls, sequence: CounterArray, time_s: FloatArray, sequence_bits: int | None
+    ) -> "_NumberedSegment":
+        n, period_s = sequence.size, _period_s(time_s)
+        modulus = counter_modulus(sequence, sequence_bits)
         steps = _common_step(sequence, modulus)
         expected_steps = (time_s[-1] - time_s[0]) / period_s
         is_in_order = steps == 0 or (steps == 1 and abs(expected_steps - (n - 1)) < modulus / 2)

@@ -60,6 +60,7 @@ def unwrap_ticks(
     counter_bits: int,
     sequence: CounterArray | None = None,
     *,
+    sequence_bits: int | None = None,
     overwrite: bool = False,
 ) -> UnwrappedTicks:
     """Return continuous device time.
@@ -69,14 +70,15 @@ def unwrap_ticks(
         host_s: arrival times on the capture clock, shape (n,), not decreasing.
         tick_hz: nominal ticks per second.
         counter_bits: width of the counter.
-        sequence: the sample counter as sent, shape (n,), if there is one; it has 16 bits if
-            no value exceeds 65535, otherwise 32.
+        sequence: the sample counter as sent, shape (n,), if there is one.
+        sequence_bits: width of the sample counter; None: 16 if no value exceeds 65535,
+            otherwise 32.
         overwrite: allows the use of the memory of `ticks` for the result.
     """
     if ticks.size == 0:
         return UnwrappedTicks(np.zeros(0), np.zeros(0, np.int64), np.zeros(0, np.bool_), 0)
     stream = TickStream.of(
-        ticks.astype(np.int64, copy=False), host_s, tick_hz, counter_bits, sequence
+        ticks.astype(np.int64, copy=False), host_s, tick_hz, counter_bits, sequence, sequence_bits
     )
     wraps, suspects = _find_suspect_steps(stream)
     classifier = FaultClassifier(stream)
@@ -193,8 +195,10 @@ def _find_floor_drops(device_s: FloatArray, segment: IntArray, host_s: FloatArra
     return drops
 
 
-def counter_modulus(sequence: CounterArray) -> int:
-    """Return the modulus of a sample counter, from its values."""
+def counter_modulus(sequence: CounterArray, bits: int | None = None) -> int:
+    """Return the modulus of a sample counter, from its width or, if unknown, from its values."""
+    if bits is not None:
+        return 1 << bits
     return 2**16 if int(sequence.max()) < 2**16 else 2**32
 
 
