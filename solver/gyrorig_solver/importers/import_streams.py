@@ -252,7 +252,7 @@ def _span_from_file(document: object, key: str, name: str) -> SectionSpan:
 def _rests_of_mask(
     mask: FloatArray, value: float, shortest_s: float, gyro: GyroStream
 ) -> list[SectionSpan]:
-    if mask.size < len(gyro.values):
+    if mask.size != len(gyro.values):
         raise InputError(
             f"the column of `static_mask`, which marks the rests, has {mask.size} rows, but the "
             f"gyro columns have {len(gyro.values)}",

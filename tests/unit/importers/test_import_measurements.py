@@ -154,6 +154,16 @@ def test_accel_with_other_times_is_taken_from_the_nearest(tmp_path: Path) -> Non
     assert "difference is 1.000 ms, and 50 samples have no value nearby" in summary.notes[0]
 
 
+@pytest.mark.parametrize("rows", [199, 400])
+def test_a_mask_of_rests_has_the_rows_of_the_gyro(rows: int, tmp_path: Path) -> None:
+    text = BASE + "static_mask: {key: m, value: 1}\n"
+    source = archive(tmp_path / "in.npz", **sound(), m=np.ones(rows))
+    with pytest.raises(InputError, match=rf"has {rows} rows, but the gyro columns have 200"):
+        import_measurements(source, mapped(text), tmp_path / "o.mcap")
+    source = archive(tmp_path / "in.npz", **sound(), m=np.ones(200))
+    assert import_measurements(source, mapped(text), tmp_path / "o.mcap").rests == 1
+
+
 def test_turns_and_rests_become_phases(tmp_path: Path) -> None:
     (tmp_path / "list.json").write_text(
         '{"rest": {"start": 0, "end": 50}, "spin": {"start": 60, "end": 90}}'
