@@ -31,6 +31,7 @@ ACCEL_COUNT_M_S2 = 1e-6
 # int16 with this scale and offset covers -40 to 85 degC in steps of 2 mK.
 TEMPERATURE_COUNT_C = 0.002
 TEMPERATURE_OFFSET_C = 25.0
+MAX_TEMPERATURE_COUNT = 32767
 INT32 = np.iinfo(np.int32)
 
 
@@ -166,7 +167,16 @@ def _temperature_counts(
     _check_stream_times(stream, origin_ns, "temperature")
     picked = values_at_samples(values, stream.time_s, gyro, "temperature", notes)[:, 0]
     counts = np.rint((picked - TEMPERATURE_OFFSET_C) / TEMPERATURE_COUNT_C)
-    valid = np.isfinite(counts) & (np.abs(counts) <= 32767)
+    is_finite = np.isfinite(counts)
+    valid = is_finite & (np.abs(counts) <= MAX_TEMPERATURE_COUNT)
+    outside = int(np.count_nonzero(is_finite & ~valid))
+    if outside:
+        range_c = TEMPERATURE_COUNT_C * MAX_TEMPERATURE_COUNT
+        notes.append(
+            f"temperature: {outside} samples have no temperature in the recording, because it is "
+            f"outside {TEMPERATURE_OFFSET_C - range_c:.1f} to {TEMPERATURE_OFFSET_C + range_c:.1f} "
+            "degC; the temperatures of the source must be in degC"
+        )
     return np.where(valid, counts, 0.0).astype(np.int64), valid
 
 

@@ -154,6 +154,20 @@ def test_accel_with_other_times_is_taken_from_the_nearest(tmp_path: Path) -> Non
     assert "difference is 1.000 ms, and 50 samples have no value nearby" in summary.notes[0]
 
 
+def test_temperatures_that_a_recording_cannot_hold_are_reported(tmp_path: Path) -> None:
+    data = sound(100)
+    data["w"] = np.full(100, 25.0)
+    data["w"][:60] = 298.0  # K
+    data["w"][60:70] = np.nan
+    text = BASE + "temperature: {key: w}\n"
+    summary = import_measurements(
+        archive(tmp_path / "in.npz", **data), mapped(text), tmp_path / "o.mcap"
+    )
+    (note,) = summary.notes
+    assert "60 samples have no temperature in the recording" in note
+    assert "outside -40.5 to 90.5 degC" in note
+
+
 @pytest.mark.parametrize("rows", [199, 400])
 def test_a_mask_of_rests_has_the_rows_of_the_gyro(rows: int, tmp_path: Path) -> None:
     text = BASE + "static_mask: {key: m, value: 1}\n"
