@@ -1,11 +1,14 @@
 """Names of boards, from the names that a source gives its sensors.
 
 What to use when: `board_name` for a topic, a folder or another text; `unique_names` if two boards
-of one source can get the same name.
+of one source can get the same name; `check_unique` before the boards are written.
 """
 
 import re
+from collections import Counter
 from collections.abc import Sequence
+
+from gyrorig_protocol.errors import UsageError
 
 MAX_NAME_CHARS = 32  # of a `BoardId`
 
@@ -31,3 +34,22 @@ def unique_names(names: Sequence[str]) -> list[str]:
             candidate = name[: MAX_NAME_CHARS - len(suffix)].rstrip("-") + suffix
         unique.append(candidate)
     return unique
+
+
+def check_unique(names: Sequence[str], source: str) -> None:
+    """Check that each board of a source has another name.
+
+    Args:
+        names: of the boards.
+        source: what was read, for the error.
+
+    Raises:
+        UsageError: two boards have one name.
+    """
+    for name, count in Counter(names).items():
+        if count > 1:
+            raise UsageError(
+                f"the data {source} contain {count} boards with the name {name}, but in one "
+                "recording each board needs another name",
+                "remove --board if it is given, or import each board alone",
+            )

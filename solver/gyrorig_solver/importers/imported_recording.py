@@ -4,7 +4,6 @@ What to use when: `write_streams` for measured streams of any format. The whole 
 before anything is written; after an error no file remains.
 """
 
-from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -25,6 +24,7 @@ from gyrorig_protocol.recording.writer import Attachment, RecordingWriter
 from gyrorig_solver.data import IntArray
 from gyrorig_solver.data.clocks.clock_map import map_clock
 from gyrorig_solver.importers.beside_unit import UnitRecording
+from gyrorig_solver.importers.board_names import check_unique
 from gyrorig_solver.importers.import_times import check_times, nanoseconds
 from gyrorig_solver.importers.imported_phases import SessionPhase, find_phases
 from gyrorig_solver.importers.measured_streams import (
@@ -82,7 +82,7 @@ def write_streams(
             f"the data {streams.source} contain no rates of a gyroscope",
             "give, in addition, a file with the rates of the gyroscope",
         )
-    _check_names(boards, streams.source)
+    check_unique([board.name for board in boards], streams.source)
     encoded = {BoardId(b.name): encode_samples(b, streams.origin_ns) for b in boards}
     if unit_recording is not None:
         return _write_beside(streams, encoded, boards, out, unit_recording)
@@ -186,16 +186,6 @@ def _check_recording_name(out: Path) -> None:
             f"the name of the output file {out.name} does not end in .mcap",
             "give a name that ends in .mcap with --output",
         )
-
-
-def _check_names(boards: Sequence[MeasuredBoard], source: str) -> None:
-    for name, count in Counter(board.name for board in boards).items():
-        if count > 1:
-            raise UsageError(
-                f"the data {source} contain {count} boards with the name {name}, but in one "
-                "recording each board needs another name",
-                "remove --board if it is given, or import each board alone",
-            )
 
 
 def _session_metadata(out: Path) -> dict[str, str]:

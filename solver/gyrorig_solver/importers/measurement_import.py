@@ -12,6 +12,7 @@ import msgspec
 
 from gyrorig_protocol.errors import InputError, UsageError
 from gyrorig_solver.data import FloatArray
+from gyrorig_solver.importers.board_names import check_unique
 from gyrorig_solver.importers.import_map import check_import_map
 from gyrorig_solver.importers.imported_recording import ImportSummary, write_streams
 from gyrorig_solver.importers.map_keys import ImportMap
@@ -127,9 +128,12 @@ def join_streams(parts: Sequence[MeasuredStreams]) -> MeasuredStreams:
 
     Raises:
         InputError: two files have the same stream, or their times do not overlap.
+        UsageError: two boards of one file have one name.
     """
     if len(parts) == 1:
         return parts[0]
+    for part in parts:
+        check_unique([board.name for board in part.boards], part.source)
     origin_ns = min(part.origin_ns for part in parts)
     shifted = [_shift(part, (part.origin_ns - origin_ns) * 1e-9) for part in parts]
     _check_overlap(shifted)

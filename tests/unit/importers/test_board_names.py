@@ -4,7 +4,7 @@ import shutil
 from pathlib import Path
 
 import pytest
-from tests.support.foreign_files import write_euroc_folder, write_ros2_bag
+from tests.support.foreign_files import write_euroc_folder, write_ros2_bag, write_tum_trajectory
 from tests.support.handheld_session import HandheldSession, simulate_session, write_ximu3
 from tests.support.simulated_attitudes import SimulatedAttitudes, simulate_attitudes
 
@@ -46,6 +46,9 @@ def test_two_boards_with_one_name_are_refused(
     options = ImportOptions(board="X", topics=("imu0", "imu1"))
     with pytest.raises(UsageError, match=r"2 boards with the name X.*Remove --board"):
         import_files([folder], tmp_path / "out.mcap", options)
+    trajectory = write_tum_trajectory(tmp_path / "truth.txt", attitudes)
+    with pytest.raises(UsageError, match=r"layout of EuRoC contain 2 boards with the name X"):
+        import_files([folder, trajectory], tmp_path / "out.mcap", options)
     assert not (tmp_path / "out.mcap").exists()
     both = ImportOptions(topics=("imu0", "imu1"))
     summary = import_files([folder], tmp_path / "out.mcap", both)
