@@ -5,9 +5,10 @@ be in the same recording or in another one of the same board.
 
 Theory of operation. The integral of y - b over a turn about an axis that is fixed in the stage
 frame is G times axis times angle, at any speed. Each turn therefore gives three linear equations in
-a column of G, and each rest three in b. Three quantities are uncertain: the angle (as stated), the
-direction of the axis, and the bias during the turn. The axis at a table edge is less accurate than
-a spindle; `AXIS_STD_RAD`, unless stated otherwise, tilts the column but does not change its length.
+a column of G, and each rest three in b. Four quantities are uncertain: the angle (as stated), the
+direction of the axis, the bias during the turn, and the noise of turns and rests. The axis at a
+table edge is less accurate than a spindle; `AXIS_STD_RAD`, unless stated otherwise, tilts the
+column but does not change its length.
 A turn has no information about the columns perpendicular to its axis.
 """
 
@@ -31,9 +32,10 @@ from gyrorig_solver.estimate.parameter_layout import (
     ParameterLayout,
     eliminate_parameters,
 )
+from gyrorig_solver.estimate.rest_mean import RestMean, measure_rest, samples_in
 from gyrorig_solver.model import cross_matrix
 from gyrorig_solver.numerics import chi2_quantile
-from gyrorig_solver.reference import TimeInterval, TurnReference
+from gyrorig_solver.reference import TurnReference
 from gyrorig_solver.reference.known_turns import KnownTurn
 
 # Difference between true and stated axis, per direction: a board held by hand
@@ -88,7 +90,7 @@ def fit_turns(recordings: Sequence[tuple[GyroSamples, TurnReference]]) -> GyroFi
         for turn in reference.turns
     ]
     rests = [
-        np.array([_rest_mean(samples, interval) for interval in reference.rests]).reshape(-1, 3)
+        [measure_rest(samples, interval) for interval in reference.rests]
         for samples, reference in recordings
     ]
     if not integrated_turns:
@@ -144,16 +146,8 @@ def _warnings(solver: "_TurnSolver", std_rad: float, is_checked: bool) -> tuple[
     )
 
 
-def _samples_in(samples: GyroSamples, interval: TimeInterval) -> FloatArray:
-    tolerance = 0.25 * samples.period_s
-    picked = (samples.time_s >= interval.begin_s - tolerance) & (
-        samples.time_s <= interval.end_s + tolerance
-    )
-    return np.flatnonzero(picked & samples.usable).astype(np.float64)
-
-
 def _integrate(recording: int, samples: GyroSamples, turn: KnownTurn) -> _IntegratedTurn:
-    index = _samples_in(samples, turn.interval).astype(np.int64)
+    index = samples_in(samples, turn.interval)
     if index.size < 8:
         raise InputError(
             f"the turn at {turn.interval.begin_s:.1f} s has only {index.size} usable samples, and "
@@ -189,43 +183,52 @@ def _integrate(recording: int, samples: GyroSamples, turn: KnownTurn) -> _Integr
     return _IntegratedTurn(recording, turn, integral, duration_s)
 
 
-def _rest_mean(samples: GyroSamples, interval: TimeInterval) -> FloatArray:
-    """Return the mean rate of a rest, without knocks."""
-    rate = samples.rate_rad_s[_samples_in(samples, interval).astype(np.int64)]
-    if len(rate) < 8:
-        raise InputError(
-            f"the rest at {interval.begin_s:.1f} s has only {len(rate)} usable samples, and 8 are "
-            "needed",
-            "make the rest longer, or remove it from the motion program or the import map",
+@dataclass(frozen=True, slots=True, eq=False)
+class _BiasAtRest:
+    """The bias at the rests of one recording."""
+
+    mean_rad_s: FloatArray  # (3,)
+    mean_std_rad_s: FloatArray  # (3,)
+    change_std_rad_s: FloatArray  # (3,), of the bias between rests
+    angle_variance_rad2_s: FloatArray  # (3,), of the integral of the noise, per second
+
+    @classmethod
+    def of(cls, rests: Sequence[RestMean]) -> "_BiasAtRest":
+        """Return the weighted mean of at least one rest."""
+        rates = np.array([rest.rate_rad_s for rest in rests])
+        noise_variances = np.array([rest.std_rad_s for rest in rests]) ** 2
+        scatter = np.var(rates, axis=0, ddof=1) if len(rests) > 1 else np.zeros(3)
+        change_variance = np.maximum(scatter - noise_variances.mean(axis=0), MIN_BIAS_STD_RAD_S**2)
+        weights = 1.0 / (change_variance + noise_variances)
+        return cls(
+            mean_rad_s=np.sum(weights * rates, axis=0) / weights.sum(axis=0),
+            mean_std_rad_s=weights.sum(axis=0) ** -0.5,
+            change_std_rad_s=np.sqrt(change_variance),
+            angle_variance_rad2_s=np.mean([rest.angle_variance_rad2_s for rest in rests], axis=0),
         )
-    median = np.median(rate, axis=0)
-    # The median absolute deviation would be 0 if most samples have the same count.
-    low, high = np.percentile(rate, (5.0, 95.0), axis=0)
-    spread = (high - low) / 3.29 + samples.quantum_rad_s
-    inliers = np.all(np.abs(rate - median) < 6.0 * spread, axis=1)
-    return np.asarray(rate[inliers].mean(axis=0), dtype=np.float64)
 
 
 class _TurnSolver:
     """Gauss-Newton over G and each recording's b; only the weights depend on G."""
 
     def __init__(
-        self, integrated_turns: list[_IntegratedTurn], rests: Sequence[FloatArray]
+        self, integrated_turns: list[_IntegratedTurn], rests: Sequence[list[RestMean]]
     ) -> None:
         """Start with the nominal gain and the mean rates of the rests.
 
         Args:
             integrated_turns: of all recordings.
-            rests: mean rates of each recording's rests, (n, 3). A recording without a rest gets the
-                bias of the others, with their scatter.
+            rests: of each recording. A recording without a rest gets the bias of the others, with
+                their scatter.
         """
         self._integrated_turns = integrated_turns
-        pooled = np.concatenate(rests)
+        pooled = [rest for recording_rests in rests for rest in recording_rests]
         self._layout = ParameterLayout.of([()], len(rests))
-        self._rests = [rates if len(rates) else pooled for rates in rests]
-        self._rest_std = np.array([_scatter(rates) for rates in self._rests])
+        self._biases_at_rest = [
+            _BiasAtRest.of(recording_rests or pooled) for recording_rests in rests
+        ]
         self._gain = np.eye(3)
-        self._biases = np.array([rates.mean(axis=0) for rates in self._rests])
+        self._biases = np.array([bias.mean_rad_s for bias in self._biases_at_rest])
         axes = np.array([integrated.turn.axis for integrated in integrated_turns])
         self.axis_turned = np.linalg.norm(axes, axis=0) > 0.1
 
@@ -289,13 +292,17 @@ class _TurnSolver:
         return np.asarray(integrated.integral - bias * integrated.span_s - predicted, np.float64)
 
     def _covariance(self, integrated: _IntegratedTurn) -> FloatArray:
-        """Return the covariance of a turn's integral: angle, axis, bias."""
+        """Return the covariance of a turn's integral: angle, axis, change of the bias, noise."""
         turn = integrated.turn
         by_angle = self._gain @ turn.axis
         by_axis = self._gain @ cross_matrix(turn.axis) * turn.angle_rad * AXIS_STD_RAD
-        drift = np.diag((self._rest_std[integrated.recording] * integrated.span_s) ** 2)
+        at_rest = self._biases_at_rest[integrated.recording]
+        by_bias = (at_rest.change_std_rad_s * integrated.span_s) ** 2
+        by_noise = at_rest.angle_variance_rad2_s * integrated.span_s
         return np.asarray(
-            np.outer(by_angle, by_angle) * turn.std_rad**2 + by_axis @ by_axis.T + drift,
+            np.outer(by_angle, by_angle) * turn.std_rad**2
+            + by_axis @ by_axis.T
+            + np.diag(by_bias + by_noise),
             dtype=np.float64,
         )
 
@@ -313,14 +320,8 @@ class _TurnSolver:
             weighted = np.linalg.solve(self._covariance(integrated), jacobian)
             information += jacobian.T @ weighted
             score += weighted.T @ self._residual(integrated)
-        for k, (rest_rates, std) in enumerate(zip(self._rests, self._rest_std, strict=True)):
+        for k, at_rest in enumerate(self._biases_at_rest):
             bias = self._layout.index(k)[9:12]
-            information[bias, bias] += len(rest_rates) * std**-2.0
-            score[bias] += (rest_rates - self._biases[k]).sum(axis=0) / std**2
+            information[bias, bias] += at_rest.mean_std_rad_s**-2.0
+            score[bias] += (at_rest.mean_rad_s - self._biases[k]) / at_rest.mean_std_rad_s**2
         return information, score
-
-
-def _scatter(rest_rates: FloatArray) -> FloatArray:
-    """Return the standard deviation of the bias between rests, (3,)."""
-    scatter = np.std(rest_rates, axis=0, ddof=1) if len(rest_rates) > 1 else np.zeros(3)
-    return np.maximum(scatter, MIN_BIAS_STD_RAD_S)

@@ -170,3 +170,51 @@ def test_events_in_any_order_never_crash(output: list[tuple[int, int, str]]) -> 
     events = [event(t, EventKind(kind), phase, text) for t, kind, phase in output]
     result = read_turns(events, 0)
     assert all(i.end_s > i.begin_s for i in result.rests)
+
+
+# 99.9 % of a chi-square of 60 values lies below 99.6, and 0.1 % below 30.3.
+CHI2_60_LIMITS = (30.3, 99.6)
+
+
+def turns_after_rest(
+    make: Maker, seed: int, rest_s: float, noise_dps: float, correlation: float = 0.0
+) -> tuple[GyroSamples, TurnReference]:
+    """One rest, and then a turn of 6 s forth and back about each axis; the bias is zero.
+
+    The true angles and axes are off by what is stated of them.
+    """
+    rng = np.random.default_rng(seed)
+    rest_samples = round(100 * rest_s)
+    phase = (np.arange(600) + 0.5) / 600.0
+    angle_std_rad = float(np.radians(0.2))
+    rates, turns, begin_s = [np.zeros((rest_samples, 3))], [], rest_s
+    for axis in np.concatenate([np.eye(3), -np.eye(3)]):
+        true_axis = axis + np.cross(rng.normal(size=3) * STD_RAD, axis)
+        angle_rad = 2.0 * np.pi + rng.normal() * angle_std_rad
+        speed = angle_rad / 6.0 * (1.0 - np.cos(2.0 * np.pi * phase))
+        rates.append(speed[:, None] * true_axis)
+        interval = TimeInterval(begin_s, begin_s + 5.99)
+        turns.append(KnownTurn(interval, axis, 2.0 * np.pi, angle_std_rad))
+        begin_s += 6.0
+    rate = np.concatenate(rates)
+    noise = rng.normal(size=rate.shape) * np.radians(noise_dps)
+    for k in range(1, len(noise)):
+        noise[k] += correlation * noise[k - 1]
+    rests = (TimeInterval(0.0, rest_s - 0.01),) if rest_samples else ()
+    samples = make(np.arange(len(rate)) / 100.0, rate + noise)
+    return samples, TurnReference(tuple(turns), rests)
+
+
+@pytest.mark.parametrize(
+    ("rest_s", "noise_dps", "correlation"),
+    [(0.5, 0.2, 0.0), (2.0, 0.2, 0.0), (10.0, 0.05, 0.9)],
+    ids=["half a second", "two seconds", "correlated noise"],
+)
+def test_the_noise_of_a_rest_is_part_of_the_uncertainty_of_the_bias(
+    samples_of: Maker, rest_s: float, noise_dps: float, correlation: float
+) -> None:
+    scores = []
+    for seed in range(20):
+        fit = fit_turns([turns_after_rest(samples_of, seed, rest_s, noise_dps, correlation)])
+        scores.append(fit.bias_rad_s / [fit.std[f"bias.{axis}"] for axis in "xyz"])
+    assert CHI2_60_LIMITS[0] < np.sum(np.square(scores)) < CHI2_60_LIMITS[1]
