@@ -12,8 +12,8 @@ column but does not change its length.
 A turn has no information about the columns perpendicular to its axis.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -44,6 +44,9 @@ AXIS_STD_RAD = float(np.radians(1.0))
 # Minimum change of the bias between rests of one session: the bias
 # instability of a consumer part over minutes (data sheets: 3 to 10 deg/h and more).
 MIN_BIAS_STD_RAD_S = float(np.radians(0.003))
+# Change of the bias from one recording to another, if it has no rest: the sensor can have been off
+# between them. Source: the limit of the bias in `uncertainty/default_settings.yaml`.
+POWER_UP_BIAS_STD_RAD_S = float(np.radians(0.1))
 MAX_ITERATIONS = 4
 # Between two usable samples of a turn, or from its ends to the nearest one: the integral is a
 # straight line there.
@@ -137,13 +140,26 @@ def _warnings(solver: "_TurnSolver", std_rad: float, is_checked: bool) -> tuple[
     unseen_axes = "".join(
         axis for axis, is_turned in zip("xyz", solver.axis_turned, strict=True) if not is_turned
     )
+    texts = (text, *_bias_warnings(solver))
     if not unseen_axes:
-        return (text,)
-    return text, (
+        return texts
+    return *texts, (
         "the board did not turn about all axes. For the columns of the gain without a turn "
         f"({', '.join(unseen_axes)}), the solver assumes the nominal values with an uncertainty of "
         "0.1"
     )
+
+
+def _bias_warnings(solver: "_TurnSolver") -> Iterator[str]:
+    numbers = [str(k + 1) for k, has_rest in enumerate(solver.has_rest) if not has_rest]
+    if numbers:
+        yield (
+            "the board never rests in these recordings, numbered in the given order: "
+            f"{', '.join(numbers)}. The solver takes their bias from the rests of the other "
+            "recordings, with a standard uncertainty of "
+            f"{np.degrees(POWER_UP_BIAS_STD_RAD_S):.2g} deg/s for the change of the bias at a "
+            "power-up. A rest in each recording makes the result more accurate"
+        )
 
 
 def _integrate(recording: int, samples: GyroSamples, turn: KnownTurn) -> _IntegratedTurn:
@@ -207,6 +223,11 @@ class _BiasAtRest:
             angle_variance_rad2_s=np.mean([rest.angle_variance_rad2_s for rest in rests], axis=0),
         )
 
+    def after_power_up(self) -> "_BiasAtRest":
+        """Return what these rests state of the bias in another recording."""
+        std_rad_s = np.hypot(self.mean_std_rad_s, POWER_UP_BIAS_STD_RAD_S)
+        return replace(self, mean_std_rad_s=std_rad_s)
+
 
 class _TurnSolver:
     """Gauss-Newton over G and each recording's b; only the weights depend on G."""
@@ -219,13 +240,15 @@ class _TurnSolver:
         Args:
             integrated_turns: of all recordings.
             rests: of each recording. A recording without a rest gets the bias of the others, with
-                their scatter.
+                their scatter and the change at a power-up.
         """
         self._integrated_turns = integrated_turns
-        pooled = [rest for recording_rests in rests for rest in recording_rests]
+        self.has_rest = [len(recording_rests) > 0 for recording_rests in rests]
+        pooled = _BiasAtRest.of([rest for recording_rests in rests for rest in recording_rests])
         self._layout = ParameterLayout.of([()], len(rests))
         self._biases_at_rest = [
-            _BiasAtRest.of(recording_rests or pooled) for recording_rests in rests
+            _BiasAtRest.of(recording_rests) if recording_rests else pooled.after_power_up()
+            for recording_rests in rests
         ]
         self._gain = np.eye(3)
         self._biases = np.array([bias.mean_rad_s for bias in self._biases_at_rest])

@@ -218,3 +218,24 @@ def test_the_noise_of_a_rest_is_part_of_the_uncertainty_of_the_bias(
         fit = fit_turns([turns_after_rest(samples_of, seed, rest_s, noise_dps, correlation)])
         scores.append(fit.bias_rad_s / [fit.std[f"bias.{axis}"] for axis in "xyz"])
     assert CHI2_60_LIMITS[0] < np.sum(np.square(scores)) < CHI2_60_LIMITS[1]
+
+
+def test_a_recording_without_a_rest_can_have_another_bias(samples_of: Maker) -> None:
+    resting, turns = turns_after_rest(samples_of, 0, 30.0, 0.05)
+    rest = (resting, TurnReference((), turns.rests))
+    scores = []
+    for seed in range(20):
+        samples, reference = turns_after_rest(samples_of, seed, 0.0, 0.05)
+        bias_rad_s = np.random.default_rng(100 + seed).normal(size=3) * np.radians(0.1)
+        turned = (samples_of(samples.time_s, samples.rate_rad_s + bias_rad_s), reference)
+        fit = fit_turns([rest, turned])
+        std = np.array([fit.std[f"bias.{axis}"] for axis in "xyz"])
+        scores.append((fit.bias_rad_s - bias_rad_s) / std)
+        assert np.abs((fit.gain - np.eye(3)) / fit.gain_std).max() < 4.5
+        # The recording at rest keeps the accuracy of its bias.
+        assert np.degrees(fit.recordings[0].bias_std_rad_s).max() < 0.02
+    assert CHI2_60_LIMITS[0] < np.sum(np.square(scores)) < CHI2_60_LIMITS[1]
+    assert any(
+        "never rests in these recordings, numbered in the given order: 2." in text
+        for text in fit.warnings
+    )
