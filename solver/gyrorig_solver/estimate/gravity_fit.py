@@ -10,7 +10,7 @@ accelerometer: M is gyro to accelerometer here, not gyro to stage.
 Source: Tedaldi et al., ICRA 2014, eq. 13 to 16 (there with the bias of the first rest).
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -18,6 +18,7 @@ from gyrorig_protocol.errors import InputError
 from gyrorig_solver.data import FloatArray
 from gyrorig_solver.data.samples import GyroSamples
 from gyrorig_solver.estimate.fit_summary import FitOutcome, build_gyro_fit
+from gyrorig_solver.estimate.gravity_mismatch import list_mismatches
 from gyrorig_solver.estimate.gyro_fit import GravityMoves, GyroFit
 from gyrorig_solver.estimate.information import PARAMETER_NAMES
 from gyrorig_solver.estimate.observability import analyse_observability
@@ -32,10 +33,18 @@ CONVERGED_SIGMA = 1e-4
 HUBER_SIGMA = 2.5
 # A smaller rotation has no information and can be a knock at rest.
 MIN_TURN_RAD = 0.05
-_NOT_CONVERGED = (
-    "the fit did not converge; turn the board more slowly, hold it still for some seconds in each "
-    "pose, and record again"
+MIN_MOVES = 5
+# Largest standard deviation of the residuals in each direction. Moves by hand have 0.1 to 0.5 deg.
+# A bias that changes by 0.2 deg/s within a move of 10 s gives 2 deg, and an accelerometer with an
+# error of 0.05 g gives 3 deg. Wrong axes or units give tens of degrees if the moves are large.
+MAX_RESIDUAL_RAD = float(np.radians(5.0))
+# The same of small moves, as a share of the residuals of a gyro that measures no rotation.
+MAX_RESIDUAL_SHARE = 0.2
+_CHECK_MAP = "check the units and the columns of times, gyro and accelerometer in the column map"
+_RECORD_AGAIN = (
+    "turn the board more slowly, hold it still for some seconds in each pose, and record again"
 )
+_NOT_CONVERGED = f"the fit did not converge; {_RECORD_AGAIN}"
 REASON_TEXTS = {
     "x": "too few moves turned the board about its x axis; turn the board about all axes",
     "y": "too few moves turned the board about its y axis; turn the board about all axes",
@@ -54,6 +63,16 @@ class _Move:
     gravity_before: FloatArray  # (3,), unit vector up
     gravity_after: FloatArray
 
+    @property
+    def is_large(self) -> bool:
+        """Whether the gyro turned enough for the move to have information."""
+        speed_rad_s = np.linalg.norm(self.rate_rad_s[1:], axis=1)
+        return float(np.sum(speed_rad_s * self.step_s)) >= MIN_TURN_RAD
+
+    def corrected(self, correction: FloatArray) -> "_Move":
+        """Return the move with each rate multiplied by a matrix, (3, 3)."""
+        return replace(self, rate_rad_s=self.rate_rad_s @ correction.T)
+
 
 def fit_gravity(
     samples: GyroSamples, gravity_m_s2: float, rest_interval: TimeInterval | None = None
@@ -69,7 +88,8 @@ def fit_gravity(
         The fit; G maps the rate in the accelerometer's frame to the gyro's.
 
     Raises:
-        InputError: there is no accelerometer, or there are too few or too similar poses.
+        InputError: there is no accelerometer, there are too few or too similar poses, or the
+            rotations of gyro and gravity do not agree.
     """
     if samples.accel_m_s2 is None:
         raise InputError(
@@ -81,7 +101,9 @@ def fit_gravity(
     rest_bias = _rest_bias(samples, poses)
     moves = _moves(samples, poses, rest_bias)
     solver = _GravitySolver(moves)
-    converged = solver.run()
+    solver.run()
+    if not solver.explains_moves():
+        raise _disagreement(solver, moves)
     information = _information(solver, rest_bias)
     sigma_rad = solver.sigma_rad  # of the reported gain
     outcome = FitOutcome(
@@ -101,7 +123,7 @@ def fit_gravity(
             f"{np.degrees(sigma_rad):.2f} deg in each direction, and the standard uncertainties of "
             "the result are scaled to this value",
         ),
-        limited_reasons=() if converged else (_NOT_CONVERGED,),
+        limited_reasons=() if solver.converged else (_NOT_CONVERGED,),
         gravity_moves=GravityMoves(len(moves), len(poses.rests), sigma_rad),
     )
     return build_gyro_fit(outcome, [samples])
@@ -126,25 +148,64 @@ def _rest_bias(samples: GyroSamples, poses: StaticPoses) -> FloatArray:
 
 def _moves(samples: GyroSamples, poses: StaticPoses, rest_bias: FloatArray) -> list[_Move]:
     """Return the usable moves: without gaps, unsaturated, and with enough rotation."""
-    moves, unusable = [], 0
+    unbroken, broken_count = [], 0
     for k in range(len(poses.rests) - 1):
         part = slice(poses.last_sample[k], poses.first_sample[k + 1] + 1)
         step_s = np.diff(samples.time_s[part])
         is_unbroken = np.all(np.diff(samples.number[part]) == 1) and samples.usable[part].all()
         if not is_unbroken or np.any(np.diff(samples.segment[part]) != 0) or np.any(step_s <= 0.0):
-            unusable += 1
+            broken_count += 1
             continue
         rate = samples.rate_rad_s[part] - (rest_bias[k] + rest_bias[k + 1]) / 2.0
-        if float(np.sum(np.linalg.norm(rate[1:], axis=1) * step_s)) < MIN_TURN_RAD:
-            continue
-        moves.append(_Move(step_s, rate, poses.direction[k], poses.direction[k + 1]))
-    if len(moves) < 5:
-        raise InputError(
-            f"a calibration by gravity needs 5 moves between rests, but only {len(moves)} are "
-            f"usable ({unusable} have gaps or saturated samples)",
-            "turn the board more slowly, and in more moves",
-        )
+        unbroken.append(_Move(step_s, rate, poses.direction[k], poses.direction[k + 1]))
+    moves = [move for move in unbroken if move.is_large]
+    if len(moves) < MIN_MOVES:
+        raise _too_few_moves(unbroken, len(moves), broken_count)
     return moves
+
+
+def _too_few_moves(unbroken: list[_Move], count: int, broken_count: int) -> InputError:
+    """Return the error of fewer than `MIN_MOVES` moves with enough rotation."""
+    mismatch = _find_mismatch(unbroken)
+    if mismatch is not None:
+        return InputError(mismatch, _CHECK_MAP)
+    small_count = len(unbroken) - count
+    return InputError(
+        f"a calibration by gravity needs {MIN_MOVES} moves between rests, but only {count} are "
+        f"usable ({broken_count} have gaps or saturated samples, and in {small_count} the gyro "
+        f"turned by less than {np.degrees(MIN_TURN_RAD):.0f} deg)",
+        "turn the board more slowly, and in more moves"
+        if broken_count >= small_count
+        else f"turn the board further, and in more moves. If it turned further, {_CHECK_MAP}",
+    )
+
+
+def _disagreement(solver: "_GravitySolver", moves: list[_Move]) -> InputError:
+    """Return the error of a fit that does not explain the moves."""
+    mismatch = _find_mismatch(moves)
+    if mismatch is not None:
+        return InputError(mismatch, _CHECK_MAP)
+    return InputError(
+        "the rotation that the gyro measures does not agree with that of gravity: the residuals "
+        f"of the moves have a standard deviation of {np.degrees(solver.sigma_rad):.2g} deg in each "
+        "direction after the fit" + ("" if solver.converged else ", which did not converge"),
+        f"{_CHECK_MAP}. If they are correct, {_RECORD_AGAIN}",
+    )
+
+
+def _find_mismatch(moves: list[_Move]) -> str | None:
+    """Return the wrong axes or units with which the fit explains the moves, None if none do."""
+    best, best_cost = None, np.inf
+    for mismatch in list_mismatches():
+        corrected = [move.corrected(mismatch.correction) for move in moves]
+        solver = _GravitySolver([move for move in corrected if move.is_large])
+        if solver.move_count >= MIN_MOVES and solver.nominal_cost() < best_cost:
+            best, best_cost = (mismatch, solver), solver.nominal_cost()
+    if best is None:
+        return None
+    mismatch, solver = best
+    solver.run()
+    return mismatch.text or None if solver.explains_moves() else None
 
 
 class _GravitySolver:
@@ -155,11 +216,12 @@ class _GravitySolver:
         self.gain = np.eye(3)
         self.sigma_rad = 0.01
         self.downweighted = 0
+        self.converged = False
         self._weight = np.ones(len(moves))
         self._limit_rad = np.inf
 
-    def run(self) -> bool:
-        """Iterate to the robust least squares; return whether the iterations converged.
+    def run(self) -> None:
+        """Iterate to the robust least squares.
 
         Levenberg's damping is necessary: with a scale factor that is wrong by a quarter, a long
         move rotates gravity out of the range of a Newton step.
@@ -167,7 +229,7 @@ class _GravitySolver:
         scales = np.linspace(*SCALE_RANGE, 41)
         costs = [self._cost(scale * np.eye(3)) for scale in scales]
         self.gain = float(scales[int(np.argmin(costs))]) * np.eye(3)
-        damping, converged = 1e-3, False
+        damping = 1e-3
         for _ in range(MAX_ITERATIONS):
             residual, jacobian = self._linearise(self.gain)
             self._update_weights(residual)
@@ -183,12 +245,32 @@ class _GravitySolver:
                     break
                 damping *= 10.0
             if damping >= 1e9 or float(np.max(np.abs(step) * np.sqrt(curvature))) < CONVERGED_SIGMA:
-                converged = (
+                self.converged = (
                     damping < 1e9 or float(np.max(np.abs(score) / np.sqrt(curvature))) < 1e-3
                 )
                 break
         self._reset_unobserved()
-        return converged
+
+    @property
+    def move_count(self) -> int:
+        """The number of moves."""
+        return len(self._moves)
+
+    def nominal_cost(self) -> float:
+        """Return the mean squared residual of the nominal gain, rad^2."""
+        return float(np.mean(np.sum(self._residuals(np.eye(3)) ** 2, axis=1)))
+
+    def explains_moves(self) -> bool:
+        """Return whether the residuals are small enough for the gain to be correct.
+
+        A fit that did not converge is accepted only if it moves along unobservable directions.
+        """
+        information = self.information()
+        rank = analyse_observability(information, PARAMETER_NAMES[:9]).rank
+        changes = [move.gravity_after - move.gravity_before for move in self._moves]
+        change_std_rad = float(np.sqrt(np.mean(np.sum(np.square(changes), axis=1)) / 2.0))
+        limit_rad = min(MAX_RESIDUAL_RAD, MAX_RESIDUAL_SHARE * change_std_rad)
+        return (self.converged or rank < 9) and self.sigma_rad <= limit_rad
 
     def _reset_unobserved(self) -> None:
         """Set unobservable directions to nominal."""

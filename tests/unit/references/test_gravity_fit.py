@@ -1,6 +1,7 @@
 """Gravity between rests: known truth, coverage over seeds, what it refuses."""
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from gyrorig_protocol.errors import InputError
 from gyrorig_solver.data import FloatArray
 from gyrorig_solver.data.samples import GyroSamples
 from gyrorig_solver.estimate import fit_gravity
+from gyrorig_solver.estimate.gravity_mismatch import list_mismatches
 from gyrorig_solver.reference import TimeInterval, find_poses
 from gyrorig_solver.reference.gravity_reference import calibrate_accelerometer
 
@@ -125,3 +127,101 @@ def test_few_poses_no_accelerometer_and_gaps_are_refused(
     whole.usable[::50] = False
     with pytest.raises(InputError, match="only 0 are usable"):
         fit_gravity(whole, GRAVITY)
+
+
+def remapped(
+    make: Maker,
+    samples: GyroSamples,
+    gyro_axes: FloatArray | None = None,
+    accel_axes: FloatArray | None = None,
+    rate_factor: float = 1.0,
+    time_factor: float = 1.0,
+) -> GyroSamples:
+    """Return the samples as an import with a wrong column map gives them."""
+    assert samples.accel_m_s2 is not None
+    identity = np.eye(3)
+    return make(
+        samples.time_s * time_factor,
+        rate_factor * samples.rate_rad_s @ (identity if gyro_axes is None else gyro_axes).T,
+        samples.accel_m_s2 @ (identity if accel_axes is None else accel_axes).T,
+    )
+
+
+@pytest.mark.parametrize(
+    ("accel_axes", "reason"),
+    [
+        (np.diag([1.0, -1.0, 1.0]), "accelerometer are x, -y, z, or"),
+        (np.eye(3)[[1, 0, 2]], "accelerometer are y, x, z, or"),
+        (np.diag([-1.0, 1.0, 1.0])[[0, 2, 1]], "accelerometer are -x, z, y, or"),
+    ],
+    ids=["reversed", "swapped", "reversed and swapped"],
+)
+def test_wrong_axes_of_the_accelerometer_are_named(
+    samples_of: Maker,
+    true_gain: FloatArray,
+    true_bias_rad_s: FloatArray,
+    accel_axes: FloatArray,
+    reason: str,
+) -> None:
+    samples = handheld(samples_of, true_gain, true_bias_rad_s, 6, moves=12)
+    with pytest.raises(InputError, match="axes of gyro and accelerometer do not agree") as error:
+        fit_gravity(remapped(samples_of, samples, accel_axes=accel_axes), GRAVITY)
+    assert reason in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("factors", "reason"),
+    [
+        (
+            {"rate_factor": np.degrees(1.0)},
+            "as if its rates are in deg/s and the column map states rad/s",
+        ),
+        (
+            {"rate_factor": np.radians(1.0)},
+            "as if its rates are in rad/s and the column map states deg/s",
+        ),
+        pytest.param(
+            {"time_factor": 1000.0},
+            "as if the times are in ms and the column map states s",
+            marks=pytest.mark.long,
+        ),
+        (
+            {"gyro_axes": np.diag([1.0, 1.0, -1.0])},
+            "they agree if the columns of the gyro are x, y",
+        ),
+    ],
+    ids=["deg/s", "rad/s", "ms", "mirrored gyro"],
+)
+def test_wrong_units_and_a_mirrored_gyro_are_named(
+    samples_of: Maker,
+    true_gain: FloatArray,
+    true_bias_rad_s: FloatArray,
+    factors: dict[str, Any],
+    reason: str,
+) -> None:
+    samples = handheld(samples_of, true_gain, true_bias_rad_s, 7, moves=12, rate_noise_rad_s=1e-3)
+    with pytest.raises(InputError, match=reason):
+        fit_gravity(remapped(samples_of, samples, **factors), GRAVITY)
+
+
+def test_rotations_of_another_board_are_refused(
+    samples_of: Maker, true_gain: FloatArray, true_bias_rad_s: FloatArray
+) -> None:
+    samples = handheld(samples_of, true_gain, true_bias_rad_s, 8, moves=12)
+    other = handheld(samples_of, true_gain, true_bias_rad_s, 9, moves=12)
+    mixed = samples_of(samples.time_s, other.rate_rad_s, samples.accel_m_s2)
+    with pytest.raises(InputError, match=r"does not agree with that of gravity.*each direction"):
+        fit_gravity(mixed, GRAVITY)
+
+
+def test_every_wrong_map_is_corrected_by_its_matrix() -> None:
+    mismatches = list(list_mismatches())
+    assert len(mismatches) == 4 * 48
+    assert [m.text for m in mismatches].count("") == 1
+    assert mismatches[0].text == ""
+    by_text = {m.text: m.correction for m in mismatches}
+    assert len(by_text) == len(mismatches)
+    # The imported columns are y, z, x of the gyro.
+    imported = np.eye(3)[[1, 2, 0]]
+    (text,) = [t for t, c in by_text.items() if np.array_equal(c @ imported, np.eye(3))]
+    assert text.endswith("accelerometer are y, z, x, or if the columns of the gyro are z, x, y")
