@@ -18,7 +18,7 @@ from typing import Self
 import numpy as np
 
 from gyrorig_solver.data import FloatArray
-from gyrorig_solver.discover.checks.smooth_alternatives import BasisFamily
+from gyrorig_solver.discover.checks.basis_family import BasisFamily
 from gyrorig_solver.estimate import NuisanceProjector, ScoreStatistics
 from gyrorig_solver.model import SignalState, Term, zero_signals
 from gyrorig_solver.numerics import chi2_upper_tail

@@ -20,7 +20,7 @@ from collections.abc import Callable
 import numpy as np
 
 from gyrorig_solver.data import FloatArray
-from gyrorig_solver.discover.checks.smooth_alternatives import BasisFamily
+from gyrorig_solver.discover.checks.basis_family import BasisFamily
 from gyrorig_solver.estimate.attitude.attitude_projector import MIN_BOARD_RATE_RAD_S
 from gyrorig_solver.estimate.attitude.block_segments import AttitudeState
 from gyrorig_solver.model import (

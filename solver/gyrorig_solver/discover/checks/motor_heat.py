@@ -15,8 +15,9 @@ import numpy as np
 
 from gyrorig_solver.data import FloatArray
 from gyrorig_solver.discover.cause_findings import DependenceTest
+from gyrorig_solver.discover.checks.basis_family import BasisFamily
 from gyrorig_solver.discover.checks.residual_dependence import smooth_function_evidence
-from gyrorig_solver.discover.checks.smooth_alternatives import BasisFamily, on_each_axis
+from gyrorig_solver.discover.checks.smooth_alternatives import on_each_axis
 from gyrorig_solver.estimate import NuisanceProjector
 from gyrorig_solver.model import Signals, SignalState
 

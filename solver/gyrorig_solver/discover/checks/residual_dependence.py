@@ -16,7 +16,8 @@ import numpy as np
 
 from gyrorig_solver.data import FloatArray, IntArray
 from gyrorig_solver.discover.cause_findings import DependenceTest
-from gyrorig_solver.discover.checks.smooth_alternatives import BasisFamily, smooth_families
+from gyrorig_solver.discover.checks.basis_family import BasisFamily
+from gyrorig_solver.discover.checks.smooth_alternatives import smooth_families
 from gyrorig_solver.discover.checks.variance_trend import fit_variance_trend, speed_shapes
 from gyrorig_solver.discover.score_tests import NEGLIGIBLE_ENERGY, ScoreTest
 from gyrorig_solver.estimate import NuisanceProjector, ScoreStatistics

@@ -9,26 +9,16 @@ cause's own effect, modulated by covariates on which its size must not depend.
 """
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
 
 from gyrorig_solver.data import FloatArray
-from gyrorig_solver.discover.checks.windowed_signals import (
-    WindowFunction,
-    Windows,
-    windowed_statistics,
-)
-from gyrorig_solver.estimate import (
-    FittedTerm,
-    NuisanceProjector,
-    ScoreStatistics,
-    SignalFunction,
-    WhitenedSignals,
-)
-from gyrorig_solver.model import AxisBiases, Signals, SignalState, Term, split_axes, zero_signals
-from gyrorig_solver.model.signal_arrays import on_all_axes, weighted_sum
+from gyrorig_solver.discover.checks.basis_family import BasisFamily, families_by_recording
+from gyrorig_solver.discover.checks.windowed_signals import Windows
+from gyrorig_solver.estimate import FittedTerm, SignalFunction
+from gyrorig_solver.model import AxisBiases, Signals, SignalState, split_axes, zero_signals
+from gyrorig_solver.model.signal_arrays import on_all_axes
 
 Covariate = Callable[[SignalState], FloatArray]  # to (n,)
 
@@ -44,65 +34,13 @@ MODULATION_WAVES = 4  # half waves of a change of size; a faster change is anoth
 MIN_COVARIATE_SPAN = 1e-6  # nothing can depend on a covariate with a smaller span
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class BasisFamily:
-    """Smooth basis functions of one covariate; a covariate can have several families."""
-
-    covariate: str
-    description: str  # for example "on pan (the gain changes)"
-    signals: tuple[SignalFunction, ...]  # each function returns some of the k signals
-    detail: FloatArray  # (k,), half waves of each signal: 1 is the smoothest
-    windows: Windows | None = None  # k windows, outside of which each signal is zero
-    windows_sum: WindowFunction | None = None  # the sum of the signals of some windows
-
-    def statistics(self, projection: NuisanceProjector) -> ScoreStatistics:
-        """Return the score statistics of the family's signals; computed once per projector."""
-        key = f"{self.covariate}: {self.description}"
-        if key not in projection.statistics_by_family:
-            projection.statistics_by_family[key] = projection.score_statistics(
-                self.whitened(projection)
-            )
-        return projection.statistics_by_family[key]
-
-    def screen(self, projection: NuisanceProjector) -> ScoreStatistics | None:
-        """Return statistics of nearly the same signals at little cost, or None."""
-        if self.windows is None or self.windows_sum is None:
-            return None
-        return windowed_statistics(projection, self.windows_sum, self.windows)
-
-    def whitened_sum(self, projection: NuisanceProjector, sizes: FloatArray) -> FloatArray:
-        """Return the sum of the family's signals times sizes (k,), whitened, (all,)."""
-
-        def total(scene: SignalState) -> FloatArray:
-            signal, first = np.zeros((scene.block_count, 3)), 0
-            for function in self.signals:
-                signals = function(scene)
-                signal += weighted_sum(signals, sizes[first : first + len(signals)])
-                first += len(signals)
-            return signal[None]
-
-        white: FloatArray = projection.evaluate_signals(total).dense()[0]
-        return white
-
-    def whitened(self, projection: NuisanceProjector, term: Term | None = None) -> WhitenedSignals:
-        """Return the family's signals in units of the noise.
-
-        Args:
-            projection: the nuisance projector at a fit.
-            term: use the signal states at the input of this cause; None: states without causes.
-        """
-        return projection.evaluate_together(self.signals, self.detail.size, term)
-
-
 def smooth_families(scenes: Sequence[SignalState]) -> Iterator[BasisFamily]:
     """Yield the families that some recordings can test.
 
     Args:
         scenes: all parts of all recordings that are fitted together.
     """
-    time = _covariate_span(scenes, _time)
-    yield _gain_family("time", "on the time (the gain changes)", _time, time, TIME_WAVES)
-    yield _bias_family("bias_time", "on the time (the bias changes)", [(_time, time, BIAS_WAVES)])
+    yield from families_by_recording(scenes, _time_families)
     speed = _covariate_span(scenes, _speed)
     if speed is not None:  # a board at rest has no speeds
         yield _speed_family(speed)
@@ -135,19 +73,34 @@ def modulated_effects(
         extension: the cause as fitted.
         scenes: all parts of all recordings that it was fitted to.
     """
-    covariates: list[tuple[str, Covariate]] = [("time", _time), ("speed", _speed)]
+    covariates: list[tuple[str, str, Covariate]] = [("speed", "the speed", _speed)]
     if not any(scene.lacks_angles for scene in scenes):
-        covariates += [("pan_angle", _pan), ("tilt_angle", _tilt)]
-    for name, covariate in covariates:
-        span = _covariate_span(scenes, covariate)
-        if span is not None:
-            signal = partial(_modulated_effect, extension, covariate, span)
-            yield BasisFamily(
-                name,
-                f"on {_COVARIATE_TEXT[name]} (change of its size)",
-                (signal,),
-                _wave_numbers(MODULATION_WAVES),
-            )
+        covariates += [("pan_angle", "pan", _pan), ("tilt_angle", "tilt", _tilt)]
+
+    def families_of_time(of_recording: Sequence[SignalState], text: str) -> list[BasisFamily]:
+        return _modulated_families(extension, of_recording, [("time", text, _time)])
+
+    yield from families_by_recording(scenes, families_of_time)
+    yield from _modulated_families(extension, scenes, covariates)
+
+
+def _modulated_families(
+    extension: FittedTerm,
+    scenes: Sequence[SignalState],
+    covariates: Sequence[tuple[str, str, Covariate]],
+) -> list[BasisFamily]:
+    """Return the effect modulated by covariates; `covariates`: name, text and values of each."""
+    spans = [_covariate_span(scenes, covariate) for _, _, covariate in covariates]
+    return [
+        BasisFamily(
+            name,
+            f"on {text} (change of its size)",
+            (partial(_modulated_effect, extension, covariate, span),),
+            _wave_numbers(MODULATION_WAVES),
+        )
+        for (name, text, covariate), span in zip(covariates, spans, strict=True)
+        if span is not None
+    ]
 
 
 def _modulated_effect(
@@ -175,12 +128,6 @@ def _speed(scene: SignalState) -> FloatArray:
 
 
 _ANGLES: tuple[Covariate, Covariate] = (_pan, _tilt)
-_COVARIATE_TEXT = {
-    "time": "the time",
-    "speed": "the speed",
-    "pan_angle": "pan",
-    "tilt_angle": "tilt",
-}
 
 
 def _covariate_span(
@@ -208,6 +155,12 @@ def _cosine_basis(x: FloatArray, span: tuple[float, float], count: int) -> Float
         np.multiply(2.0 * waves[0], waves[k - 1], out=waves[k])
         waves[k] -= waves[k - 2] if k > 1 else 1.0
     return waves
+
+
+def _time_families(scenes: Sequence[SignalState], text: str) -> Iterator[BasisFamily]:
+    span = _covariate_span(scenes, _time)
+    yield _gain_family("time", f"on {text} (the gain changes)", _time, span, TIME_WAVES)
+    yield _bias_family("bias_time", f"on {text} (the bias changes)", [(_time, span, BIAS_WAVES)])
 
 
 def _gain_family(

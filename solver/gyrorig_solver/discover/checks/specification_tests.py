@@ -29,6 +29,7 @@ from gyrorig_solver.data import FloatArray
 from gyrorig_solver.discover.candidate_fits import global_p_value
 from gyrorig_solver.discover.cause_findings import DependenceTest
 from gyrorig_solver.discover.cause_ranking import MODEL_ERROR_SHARE, RankedCause
+from gyrorig_solver.discover.checks.basis_family import BasisFamily
 from gyrorig_solver.discover.checks.model_check import JudgedModel, Verdict
 from gyrorig_solver.discover.checks.motor_heat import likelier_motor_heat, motor_heat_family
 from gyrorig_solver.discover.checks.residual_dependence import (
@@ -36,14 +37,13 @@ from gyrorig_solver.discover.checks.residual_dependence import (
     smooth_function_evidence,
 )
 from gyrorig_solver.discover.checks.smooth_alternatives import (
-    BasisFamily,
     modulated_effects,
     smooth_families,
 )
 from gyrorig_solver.discover.fit_space import FitSpace, Space
 from gyrorig_solver.discover.fitted_values import value_stds
 from gyrorig_solver.estimate import FittedTerm, NuisanceProjector, join_signals
-from gyrorig_solver.model import SignalState, value_indices
+from gyrorig_solver.model import SignalState, recording_index_of, value_indices
 from gyrorig_solver.model.term import ANGLE_COVARIATES
 
 # Share of right names that the test may reject: a quarter of the right names that may be lost.
@@ -106,12 +106,16 @@ def best_function_nats(projector: NuisanceProjector, covariate: str | None = Non
         covariate: the covariate of the functions; None: all covariates.
     """
     heat = motor_heat_family(projector.states)
-    evidences = (
-        smooth_function_evidence(family.statistics(projector), family.detail)
-        for family in (*smooth_families(projector.states), *([heat] if heat else []))
-        if covariate in (None, family.covariate)
-    )
-    return max(evidences, default=0.0)
+    nats_of_function: dict[tuple[str, str], float] = {}
+    for family in (*smooth_families(projector.states), *([heat] if heat else [])):
+        if covariate not in (None, family.covariate):
+            continue
+        # Each recording has its own function of the time. Their evidences add.
+        is_limited = family.recording_index is not None
+        function = (family.covariate, "" if is_limited else family.description)
+        evidence_nats = smooth_function_evidence(family.statistics(projector), family.detail)
+        nats_of_function[function] = nats_of_function.get(function, 0.0) + evidence_nats
+    return max(nats_of_function.values(), default=0.0)
 
 
 def find_misspecification(
@@ -132,10 +136,16 @@ def find_misspecification(
         return DependenceTest("pan_transient", description, explained_statistic, 1, p_value)
     scenes = projection.states
     covariates = extension.term.covariates or ()
-    basis_families = [
+    candidates = [
         (family, False) for family in smooth_families(scenes) if family.covariate in covariates
     ]
-    basis_families += [(family, True) for family in modulated_effects(extension, scenes)]
+    candidates += [(family, True) for family in modulated_effects(extension, scenes)]
+    recording_index = recording_index_of(extension.term)
+    basis_families = [  # another recording cannot reject a cause of one recording
+        (family, is_modulation)
+        for family, is_modulation in candidates
+        if recording_index is None or family.recording_index in (None, recording_index)
+    ]
     tests = [
         nonparametric_specification_test(projection, extension, family, is_modulation)
         for family, is_modulation in basis_families
