@@ -27,7 +27,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.fft import dct
 
-from gyrorig_solver.data import BoolArray, FloatArray
+from gyrorig_solver.data import BoolArray, FloatArray, IntArray
 from gyrorig_solver.discover.cause_findings import DependenceTest
 from gyrorig_solver.discover.checks.jitter_modulation import BlockMotion, find_modulation
 from gyrorig_solver.discover.checks.variance_trend import (
@@ -127,14 +127,14 @@ def estimate_jitter(
         return None
     values, slopes, speeds, weights, motion = blocks
     rises = speeds[0]
-    covariance = slopes[:, None] * weights[None, :, :, None] * weights[None, :, None, :]
+    covariance = slopes[:, None] * weights[:, :, :, None] * weights[:, :, None, :]
     eigenvalues, eigenvectors = np.linalg.eigh(covariance)
     rotated = np.einsum("bjik,bji->bjk", eigenvectors, values.transpose(0, 2, 1))
     jitter = _VarianceModel((rotated**2).ravel(), np.clip(eigenvalues, 0.0, None).ravel())
     size = jitter.most_likely_size()
     gain_nats = jitter.log_likelihood_gain(size)
-    flat = np.broadcast_to(np.mean(weights**2, axis=0), weights.shape)
-    like_noise = np.einsum("bii,ji->bji", slopes, flat)
+    flat = np.broadcast_to(np.mean(weights**2, axis=1, keepdims=True), weights.shape)
+    like_noise = np.einsum("bii,bji->bji", slopes, flat)
     rivals = {
         "a scatter that grows with the acceleration as the noise's own spectrum": like_noise,
         "a scatter that is there while the stage moves": np.broadcast_to(
@@ -222,15 +222,16 @@ def _block_coefficients(
     """Return coefficients, slopes, motion shapes, weights and motion of blocks.
 
     Returns:
-        (b, 3, BLOCK) in units of the noise, (b, 3, 3), (k, b), (BLOCK, 3), motion of b blocks; None
-        without accelerations.
+        (b, 3, BLOCK) in units of the noise, (b, 3, 3), (k, b), (b, BLOCK, 3), motion of b blocks;
+        None without accelerations.
     """
     left = projection.orthogonal_component(projection.residual)
-    values, slopes, moving, weights, places, start = [], [], [], [], [], 0
+    values, slopes, moving, weights, recordings, places = [], [], [], [], [], []
+    start = 0
     rates = [model.rate for s in projection.segments for model in s.models]
     fastest = max(float(np.linalg.norm(rate, axis=1).max(initial=0.0)) for rate in rates)
     for s in projection.segments:
-        weights.append(_noise_weights(s.noise))
+        weight = _noise_weights(s.noise)
         for scene, model in zip(s.states, s.models, strict=True):
             n = model.used.size
             white = left[start : start + 3 * n].reshape(3, n)
@@ -248,6 +249,8 @@ def _block_coefficients(
             values.append(dct(cut, axis=-1, norm="ortho"))
             slopes.append(np.einsum("bti,btk->bik", shape, shape) / BLOCK_LENGTH)
             rate = np.linalg.norm(model.rate, axis=1)
+            weights.append(np.broadcast_to(weight, (len(cut), *weight.shape)))
+            recordings.append(np.full(len(cut), scene.context.recording_index))
             places.append(BlockMotion.of(scene, rate, BLOCK_LENGTH, used))
             speed = speed_shapes(rate[inside], fastest)
             moving.append(speed.reshape(-1, whole, BLOCK_LENGTH).mean(axis=2)[:, used])
@@ -256,12 +259,28 @@ def _block_coefficients(
     if not strength.size or strength.max() <= 0.0:
         return None
     still = strength < STILL_SHARE * strength.max()
-    level = np.ones(3)
-    if still.sum() >= MIN_STILL_BLOCKS:
-        # Noise levels that were fitted to the whole residual contain the jitter.
-        level = np.sqrt(np.mean(value[still] ** 2, axis=(0, 2)))
+    level = _noise_levels(value, still, np.concatenate(recordings))
     slope = np.where(still[:, None, None], 0.0, slope)
-    # All recordings of one board have the same sampling and nearly the same noise levels.
-    weight = np.mean(weights, axis=0) / level
     moved = np.concatenate(moving, axis=1)
-    return value / level[None, :, None], slope, moved, weight, BlockMotion.concatenate(places)
+    relative_weights = np.concatenate(weights) / level[:, None]
+    motion = BlockMotion.concatenate(places)
+    return value / level[:, :, None], slope, moved, relative_weights, motion
+
+
+def _noise_levels(values: FloatArray, still: BoolArray, recordings: IntArray) -> FloatArray:
+    """Return the noise of the still blocks of each recording, relative to the fitted noise, (b, 3).
+
+    Noise levels that were fitted to the whole residual of a recording contain its jitter.
+
+    Args:
+        values: coefficients, (b, 3, BLOCK).
+        still: whether a block has no acceleration, (b,).
+        recordings: index of the recording of each block, (b,).
+    """
+    levels = np.ones(values.shape[:2])
+    for index in np.unique(recordings):
+        of_recording = recordings == index
+        still_values = values[of_recording & still]
+        if len(still_values) >= MIN_STILL_BLOCKS:
+            levels[of_recording] = np.sqrt(np.mean(still_values**2, axis=(0, 2)))
+    return levels
