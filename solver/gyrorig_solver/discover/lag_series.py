@@ -65,9 +65,20 @@ class LagSeries:
 
 
 def window_edges_s(states: Sequence[SignalState]) -> FloatArray:
-    """Return the edges of the windows of a recording, (m + 1,)."""
-    begin_s = min(state.context.begin_s for state in states)
-    end_s = max(state.context.end_s for state in states)
+    """Return the edges of the windows, (m + 1,).
+
+    They cover the recordings in which the board turns, because a rest shows no lag.
+
+    Args:
+        states: all parts of all recordings that are fitted together. If all are at rest, the
+            windows cover all of them.
+    """
+    turning = {state.context.recording_index for state in states if not state.is_at_rest}
+    contexts = [
+        state.context for state in states if not turning or state.context.recording_index in turning
+    ]
+    begin_s = min(context.begin_s for context in contexts)
+    end_s = max(context.end_s for context in contexts)
     count = int(np.clip((end_s - begin_s) / WINDOW_S, 1, MAX_WINDOWS))
     return np.linspace(begin_s, end_s, count + 1)
 
