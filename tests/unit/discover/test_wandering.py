@@ -9,13 +9,23 @@ import numpy as np
 import pytest
 from tests.support.board_fits import explain_recordings, fit_base_model
 
-from gyrorig_solver.discover.checks.random_walk import detect_random_walk, has_jumps
+from gyrorig_solver.discover.checks.random_walk import (
+    _combine_levels,
+    detect_random_walk,
+    has_jumps,
+)
 from gyrorig_solver.discover.checks.typical_noise import (
     has_typical_noise,
     limit_to_typical,
     measure_bias_walk,
 )
-from gyrorig_solver.discover.checks.walk_profile import TYPICAL_POWER_FACTOR, profile_walks
+from gyrorig_solver.discover.checks.walk_profile import (
+    LEVEL_GRID_POINTS,
+    MAX_LOG_LEVEL_SHIFT,
+    TYPICAL_POWER_FACTOR,
+    WalkProfile,
+    profile_walks,
+)
 from gyrorig_solver.estimate import nominal_levels
 from gyrorig_solver.numerics import chi2_quantile, chi2_upper_tail
 
@@ -112,3 +122,43 @@ def test_a_hidden_step_raises_the_levels_and_is_found(hidden: Callable[..., Any]
         assert axis[1] <= TYPICAL_POWER_FACTOR * nominal_levels(float(axis[0]))[1] * 1.001
     causes = explain_recordings([session.recording], session.board).findings.causes
     assert [cause.candidates for cause in causes] == [("bias_step",)]
+
+
+LOG_TYPICAL = 2.0 * np.log(2e-6)  # of a walk of 2e-6 rad/s per sqrt(s)
+WALK = 8e-5
+
+
+def walk_profile(log_typical: float, log_limit: float, is_measured: bool) -> WalkProfile:
+    """Return a profile whose levels are measured, or only limited, from `log_limit` on."""
+    shifts = np.linspace(-MAX_LOG_LEVEL_SHIFT, MAX_LOG_LEVEL_SHIFT, LEVEL_GRID_POINTS)
+    log_levels = log_typical + shifts
+    excess = log_levels - log_limit
+    nats = -20.0 * np.log1p(np.exp(excess))
+    return WalkProfile(log_levels, nats - 20.0 * np.log1p(np.exp(-excess)) * is_measured)
+
+
+def test_the_walk_of_one_recording_is_that_of_its_profile() -> None:
+    profiles = [walk_profile(LOG_TYPICAL, 2.0 * np.log(WALK), True) for _ in range(3)]
+    level, std = _combine_levels(profiles)
+    assert (level[0], std[0]) == profiles[0].posterior_level()
+
+
+def test_recordings_that_show_no_walk_do_not_lower_it() -> None:
+    """Before, the mean of the levels counted each upper limit as a measurement of a small walk."""
+    measured = walk_profile(LOG_TYPICAL, 2.0 * np.log(WALK), True)
+    limited = [
+        walk_profile(LOG_TYPICAL + shift, 2.0 * np.log(10.0 * WALK), False)
+        for shift in (-0.3, -0.1, 0.1, 0.3, 0.0)
+    ]
+    expected, expected_std = measured.posterior_level()
+    profiles = [profile for each in (*limited, measured) for profile in [each] * 3]
+    level, std = _combine_levels(profiles)
+    assert level == pytest.approx(np.full(3, expected), abs=0.5 * expected_std)
+    assert std == pytest.approx(np.full(3, expected_std), rel=0.2)
+
+
+def test_equal_recordings_measure_the_walk_more_accurately() -> None:
+    measured = walk_profile(LOG_TYPICAL, 2.0 * np.log(WALK), True)
+    level, std = _combine_levels([measured] * 12)
+    assert level == pytest.approx(np.full(3, WALK), rel=0.05)
+    assert std == pytest.approx(np.full(3, 0.5 * measured.posterior_level()[1]), rel=0.1)

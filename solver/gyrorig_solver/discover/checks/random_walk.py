@@ -30,6 +30,7 @@ from gyrorig_solver.discover.checks.typical_noise import (
 from gyrorig_solver.discover.checks.walk_profile import (
     MAX_LOG_LEVEL_SHIFT,
     WalkProfile,
+    add_profiles,
     profile_walks,
 )
 from gyrorig_solver.discover.fit_space import NoiseAlternative
@@ -160,10 +161,8 @@ def _residual_has_jumps(solution: ConvergedFit, axes: BoolArray) -> bool:
 
 def _combine_levels(profiles: Sequence[WalkProfile]) -> tuple[FloatArray, FloatArray]:
     """Return the walk of each axis and its uncertainty from all recordings, (3,) each."""
-    levels = np.array([profile.posterior_level() for profile in profiles]).reshape(-1, 3, 2)
-    weight = levels[:, :, 1] ** -2.0
-    total = weight.sum(axis=0)
-    return np.sum(weight * levels[:, :, 0], axis=0) / total, total**-0.5
+    levels = np.array([add_profiles(profiles[axis::3]).posterior_level() for axis in range(3)])
+    return levels[:, 0], levels[:, 1]
 
 
 def _describe_rival(alternative: NoiseAlternative, share: float, posterior: float) -> RivalCause:

@@ -3,10 +3,11 @@
 The flicker of parts differs by more than a factor of ten. Therefore a random walk is unusual only
 if no level of the flicker explains the low frequencies as well.
 
-What to use when: `profile_walks` for a fit, one profile per recording and axis; `fit_usual_noises`
-for the levels of a usual part.
+What to use when: `profile_walks` for a fit, one profile per recording and axis; `add_profiles` for
+the walk of one axis from several recordings; `fit_usual_noises` for the levels of a usual part.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -35,9 +36,9 @@ FLICKER_GRID_STEP = 4  # every fourth of these is a level of the flicker, which 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WalkProfile:
-    """The profile log-likelihood of the random walk on one axis of one recording."""
+    """The profile log-likelihood of the random walk on one axis, of one recording or several."""
 
-    log_levels: FloatArray  # (points,)
+    log_levels: FloatArray  # (points,), with that of a typical part in the middle
     nats: FloatArray  # (points,), minus that of the best typical walk; flicker of any level
 
     @property
@@ -63,6 +64,22 @@ def profile_walks(solution: ConvergedFit) -> list[WalkProfile]:
         for spectrum, noise in zip(solution.spectra, solution.noises, strict=True)
         for axis in range(3)
     ]
+
+
+def add_profiles(profiles: Sequence[WalkProfile]) -> WalkProfile:
+    """Return the profile of one walk that acts in several recordings of the same axis.
+
+    The white noise of the recordings can differ, and with it the level of a typical part. The
+    levels of the result lie around the mean of the typical ones. Beyond the levels of a recording,
+    its log-likelihood is that of the nearest level.
+
+    Args:
+        profiles: of one axis, one per recording, at least one.
+    """
+    middles = np.array([profile.log_levels.mean() for profile in profiles])
+    log_levels = profiles[0].log_levels + (middles.mean() - middles[0])
+    nats = [np.interp(log_levels, profile.log_levels, profile.nats) for profile in profiles]
+    return WalkProfile(log_levels, np.sum(nats, axis=0))
 
 
 def fit_usual_noises(solution: ConvergedFit) -> list[NoiseModel]:
