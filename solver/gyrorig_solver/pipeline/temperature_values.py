@@ -29,6 +29,7 @@ from gyrorig_solver.calibration.calibration_document import (
     Units,
     Validity,
 )
+from gyrorig_solver.calibration.reference_temperature import bias_temperature_degc
 from gyrorig_solver.calibration.temperature_record import TemperaturePoint
 from gyrorig_solver.data import FloatArray
 from gyrorig_solver.data.text_table import check_text_table
@@ -127,9 +128,7 @@ def _columns(
 
 
 def _calibration_row(document: CalibrationDocument, name: str) -> dict[str, float]:
-    degc = document.quality.mean_temperature_degc
-    if document.temperature is not None:  # the bias is that at the reference of the curve
-        degc = document.temperature.reference_degc
+    degc = bias_temperature_degc(document)
     if document.validity.temperature_degc is None or degc is None:
         raise InputError(
             f"the calibration {name} has no temperature in degrees Celsius",

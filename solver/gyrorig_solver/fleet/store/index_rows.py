@@ -14,6 +14,7 @@ import msgspec
 
 from gyrorig_solver.calibration import CalibrationDocument
 from gyrorig_solver.calibration.calibration_wording import value_std_pairs
+from gyrorig_solver.calibration.reference_temperature import bias_temperature_degc
 from gyrorig_solver.model import PARAMETER_GROUPS
 
 WorkStatus = Literal["ok", "rejected", "failed", "quarantined"]
@@ -47,7 +48,7 @@ class IndexRow(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     config_hash: str = ""
     start: str | None = None
     duration_s: float | None = None
-    temperature_degc: float | None = None  # mean of the thermometer, or middle of the range
+    temperature_degc: float | None = None  # of the bias, or middle of the range
     version: int | None = None
     file: str = ""  # below the store
     file_sha256: str = ""
@@ -137,6 +138,7 @@ def calibration_row(
     companions: Sequence[str] = (),
 ) -> IndexRow:
     """Return the row of a calibration that is in the store."""
+    bias_degc = bias_temperature_degc(calibration)
     return IndexRow(
         key=key,
         status="ok",
@@ -153,9 +155,7 @@ def calibration_row(
         start=calibration.inputs[0].start if calibration.inputs else None,
         duration_s=sum(recording.duration_s for recording in calibration.inputs),
         temperature_degc=(
-            midpoint(calibration.validity.temperature_degc)
-            if calibration.quality.mean_temperature_degc is None
-            else calibration.quality.mean_temperature_degc
+            midpoint(calibration.validity.temperature_degc) if bias_degc is None else bias_degc
         ),
         version=calibration.version,
         file=file,
