@@ -17,7 +17,7 @@ from typing import Self
 
 import numpy as np
 
-from gyrorig_solver.data import FloatArray, IntArray
+from gyrorig_solver.data import BoolArray, FloatArray, IntArray
 from gyrorig_solver.estimate.converged_fit import ConvergedFit
 from gyrorig_solver.estimate.reference_prediction import predict_derivatives
 from gyrorig_solver.estimate.series_segment import SeriesSegment
@@ -44,15 +44,15 @@ class LawScale:
     is_square: tuple[bool, ...]  # whether the effect grows as the square of the value
 
     @classmethod
-    def of(cls, reference: PanTiltReference) -> Self:
-        """Return the scale of all values of a law, in the order of `MotionLaw.of_values`."""
-        table, law = reference.move_fit.table, reference.law
-        base_rad_s = np.zeros(2)
-        for axis in (0, 1):
-            moves = table.axis == axis
-            steps_s = float(np.mean(table.base_speed_steps_s[moves])) if moves.any() else 0.0
-            steps_s += law.base_speed_steps_s[axis]
-            base_rad_s[axis] = steps_s * abs(reference.rad_per_step[axis])
+    def of(cls, references: Sequence[PanTiltReference]) -> Self:
+        """Return the scale of all values of a law, in the order of `MotionLaw.of_values`.
+
+        Args:
+            references: of the recordings of one unit under one law, at least one. The base speed of
+                an axis is that of the first recording in which the axis moves.
+        """
+        law = references[0].law
+        base_rad_s = np.array([_base_speed_rad_s(references, axis) for axis in (0, 1)])
         origin = np.concatenate([law.acceleration_share, base_rad_s, law.corner_s])
         least = [0.0, 0.0, *[PROBED_BASE_SPEED_RAD_S] * 2, *[PROBED_CORNER_S] * 2]
         is_square = np.repeat([quantity != "acceleration" for quantity in LAW_QUANTITIES], 2)
@@ -109,7 +109,7 @@ class LawEffects:
 
     direct: tuple[tuple[FloatArray, ...], ...]  # (6, n, 3) of each part of each segment
     profiles: tuple[LawProfile, ...]  # of all values, one per recording
-    scale: LawScale  # of the first recording
+    scale: LawScale  # of all recordings
 
     @classmethod
     def of(cls, solution: ConvergedFit, segments: Sequence[SeriesSegment]) -> Self | None:
@@ -122,7 +122,7 @@ class LawEffects:
         references = unit_references(solution)
         if not references:
             return None
-        probed = [LawScale.of(reference).probe(reference) for reference in references]
+        probed = [LawScale.of([reference]).probe(reference) for reference in references]
         series = [
             (each, session.lag_s, reference.executed)
             for session, reference in zip(solution.sessions, probed, strict=True)
@@ -139,7 +139,7 @@ class LawEffects:
                 parts.append(signals if share is None else signals * share)
             direct.append(tuple(parts))
         profiles = [reference.law_profile(np.arange(LAW_VALUES)) for reference in probed]
-        return cls(tuple(direct), tuple(profiles), LawScale.of(references[0]))
+        return cls(tuple(direct), tuple(profiles), LawScale.of(references))
 
     def reply_information(self) -> FloatArray:
         """Return the information of all replies about the values, (6, 6)."""
@@ -153,6 +153,20 @@ class LawEffects:
         """
         score = np.sum([profile.score for profile in self.profiles], axis=0)
         return np.asarray(score + self.reply_information() @ self.scale.probed_effect, np.float64)
+
+
+def _base_speed_rad_s(references: Sequence[PanTiltReference], axis: int) -> float:
+    """Return the base speed of an axis under the law of its first recording with moves, rad/s."""
+    reference = next((each for each in references if _moves(axis, each).any()), references[0])
+    moves = _moves(axis, reference)
+    base_steps_s = reference.move_fit.table.base_speed_steps_s[moves]
+    steps_s = float(np.mean(base_steps_s)) if moves.any() else 0.0
+    steps_s += reference.law.base_speed_steps_s[axis]
+    return steps_s * abs(reference.rad_per_step[axis])
+
+
+def _moves(axis: int, reference: PanTiltReference) -> BoolArray:
+    return np.asarray(reference.move_fit.table.axis == axis)
 
 
 def unit_references(solution: ConvergedFit) -> list[PanTiltReference]:

@@ -192,7 +192,7 @@ class NuisanceProjector(NuisanceSpace):
         references = [] if self._solution is None else unit_references(self._solution)
         if not references:
             return effect
-        law_scale = LawScale.of(references[0])
+        law_scale = LawScale.of(references)
         for fitted_term in self.fitted_terms:
             stop = first + fitted_term.free_indices.size
             if fitted_term in removed_terms and fitted_term.term.law_quantity is not None:
