@@ -20,6 +20,7 @@ import numpy as np
 from gyrorig_solver.data import BoolArray, FloatArray, IntArray
 from gyrorig_solver.estimate.converged_fit import ConvergedFit
 from gyrorig_solver.estimate.reference_prediction import predict_derivatives
+from gyrorig_solver.estimate.series import Series
 from gyrorig_solver.estimate.series_segment import SeriesSegment
 from gyrorig_solver.model import DEG
 from gyrorig_solver.reference import (
@@ -28,6 +29,8 @@ from gyrorig_solver.reference import (
     LawProfile,
     MotionLaw,
     PanTiltReference,
+    ReferenceMotion,
+    RestReference,
 )
 
 # The smallest values at which derivatives are computed; their effects are far below the noise.
@@ -113,7 +116,7 @@ class LawEffects:
 
     @classmethod
     def of(cls, solution: ConvergedFit, segments: Sequence[SeriesSegment]) -> Self | None:
-        """Return the effects at a fit; None if a recording has no motion of a unit.
+        """Return the effects at a fit; None without a unit, see `unit_references`.
 
         Args:
             solution: the fit.
@@ -122,24 +125,24 @@ class LawEffects:
         references = unit_references(solution)
         if not references:
             return None
-        probed = [LawScale.of([reference]).probe(reference) for reference in references]
-        series = [
-            (each, session.lag_s, reference.executed)
-            for session, reference in zip(solution.sessions, probed, strict=True)
-            for each in session.series
-        ]
+        probed = {k: LawScale.of([each]).probe(each) for k, each in references.items()}
+        sessions = solution.sessions
+        all_series = [each for session in sessions for each in session.series]
         direct = []
-        for segment, (each, lag_s, executed) in zip(segments, series, strict=True):
-            parts = []
-            for blocks, model in zip(each.part_slices(), segment.models, strict=True):
-                law = predict_derivatives(each, blocks, executed, lag_s).law
-                passing = model.pass_through
-                share = None if passing is None else passing.at_stage("profile")
-                signals = (solution.gain @ law).transpose(0, 2, 1)
-                parts.append(signals if share is None else signals * share)
-            direct.append(tuple(parts))
-        profiles = [reference.law_profile(np.arange(LAW_VALUES)) for reference in probed]
-        return cls(tuple(direct), tuple(profiles), LawScale.of(references))
+        for segment, each in zip(segments, all_series, strict=True):
+            k = segment.session_index
+            direct.append(
+                _direct_effects(segment, each, probed[k], sessions[k].lag_s, solution.gain)
+                if k in probed
+                else tuple(np.zeros((LAW_VALUES, used.size, 3)) for used in segment.used)
+            )
+        profiles = [
+            probed[k].law_profile(np.arange(LAW_VALUES))
+            if k in probed
+            else _profile_without_replies(session.reference)
+            for k, session in enumerate(sessions)
+        ]
+        return cls(tuple(direct), tuple(profiles), LawScale.of(list(references.values())))
 
     def reply_information(self) -> FloatArray:
         """Return the information of all replies about the values, (6, 6)."""
@@ -169,8 +172,41 @@ def _moves(axis: int, reference: PanTiltReference) -> BoolArray:
     return np.asarray(reference.move_fit.table.axis == axis)
 
 
-def unit_references(solution: ConvergedFit) -> list[PanTiltReference]:
-    """Return the reference of each recording; none if one of them is not the motion of a unit."""
+def unit_references(solution: ConvergedFit) -> dict[int, PanTiltReference]:
+    """Return the references of the recordings of a unit, by the index of the recording.
+
+    A rest without a unit shows nothing of the law, and is left out. With another motion without a
+    unit there are none.
+    """
     references = [session.reference for session in solution.sessions]
-    units = [reference for reference in references if isinstance(reference, PanTiltReference)]
-    return units if len(units) == len(references) else []
+    if not all(isinstance(each, PanTiltReference | RestReference) for each in references):
+        return {}
+    return {k: each for k, each in enumerate(references) if isinstance(each, PanTiltReference)}
+
+
+def _direct_effects(
+    segment: SeriesSegment,
+    series: Series,
+    reference: PanTiltReference,
+    lag_s: float,
+    gain: FloatArray,
+) -> tuple[FloatArray, ...]:
+    """Return the effects of the values on the samples of each part, (6, n, 3) each."""
+    parts = []
+    for blocks, model in zip(series.part_slices(), segment.models, strict=True):
+        law = predict_derivatives(series, blocks, reference.executed, lag_s).law
+        passing = model.pass_through
+        share = None if passing is None else passing.at_stage("profile")
+        signals = (gain @ law).transpose(0, 2, 1)
+        parts.append(signals if share is None else signals * share)
+    return tuple(parts)
+
+
+def _profile_without_replies(reference: ReferenceMotion) -> LawProfile:
+    local_count, shared_count = reference.information.size
+    return LawProfile(
+        np.zeros((local_count + shared_count, LAW_VALUES)),
+        np.zeros((LAW_VALUES, LAW_VALUES)),
+        np.zeros(LAW_VALUES),
+        local_count,
+    )

@@ -189,10 +189,10 @@ class NuisanceProjector(NuisanceSpace):
         """
         effect = np.zeros(self.residual.size)
         first = self._prior.first_term
-        references = [] if self._solution is None else unit_references(self._solution)
+        references = {} if self._solution is None else unit_references(self._solution)
         if not references:
             return effect
-        law_scale = LawScale.of(references)
+        law_scale = LawScale.of(list(references.values()))
         for fitted_term in self.fitted_terms:
             stop = first + fitted_term.free_indices.size
             if fitted_term in removed_terms and fitted_term.term.law_quantity is not None:
