@@ -64,3 +64,9 @@ def hidden(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., HiddenReco
         return made[key]
 
     return record
+
+
+@pytest.fixture
+def pair(hidden: Callable[..., HiddenRecording]) -> tuple[HiddenRecording, HiddenRecording]:
+    """Return a survey and a rest of one board."""
+    return hidden(program="survey-40"), hidden(program="static")

@@ -24,12 +24,6 @@ from gyrorig_solver.pipeline.prepare_board import fit_base, prepare_held_out
 OFFSET = CALIBRATION_PARAMETERS.index("time_offset")
 
 
-@pytest.fixture
-def pair(hidden: Callable[..., Any]) -> tuple[Any, Any]:
-    """A survey and a rest."""
-    return hidden(program="survey-40"), hidden(program="static")
-
-
 def test_a_change_of_the_survey_changes_the_stated_time_offset(pair: tuple[Any, Any]) -> None:
     survey, resting = pair
     space = MotionFitSpace(fit_base_model([survey.recording, resting.recording], survey.board))
