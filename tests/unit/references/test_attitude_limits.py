@@ -1,6 +1,7 @@
 """Reference attitudes at the limits of the fit: rests, times that do not agree, short, slow."""
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -39,18 +40,43 @@ def record(
     return make
 
 
+def rest_of(samples_of: Maker, seed: int) -> tuple[GyroSamples, AttitudeReference]:
+    """Make the samples and attitudes of a board at rest."""
+    rng = np.random.default_rng(100 + seed)
+    time_s, at_s = np.arange(12000) / 200.0, np.arange(6000) / 100.0
+    rate = np.array([0.01, -0.02, 0.005]) + 5e-4 * rng.normal(size=(time_s.size, 3))
+    q = Rotation.from_rotvec(3e-4 * rng.normal(size=(at_s.size, 3))).as_quat()
+    return samples_of(time_s, rate), read_attitude(at_s, q, np.full(at_s.size, np.nan))
+
+
 def test_a_board_at_rest_shows_no_time_offset_and_no_drift(samples_of: Maker) -> None:
     """Before, the slope of the gyro's noise counted as motion: -285.0 +- 23.7 ms."""
     for seed in range(8):
-        rng = np.random.default_rng(100 + seed)
-        time_s, at_s = np.arange(12000) / 200.0, np.arange(6000) / 100.0
-        rate = np.array([0.01, -0.02, 0.005]) + 5e-4 * rng.normal(size=(time_s.size, 3))
-        q = Rotation.from_rotvec(3e-4 * rng.normal(size=(at_s.size, 3))).as_quat()
-        fit = fit_attitude(
-            [(samples_of(time_s, rate), read_attitude(at_s, q, np.full(at_s.size, np.nan)))]
-        )
+        fit = fit_attitude([rest_of(samples_of, seed)])
         assert np.isnan(fit.time_offset_s)
         assert not fit.warnings
+
+
+@pytest.mark.parametrize("is_rest_last", [False, True])
+def test_a_rest_does_not_hide_the_time_offset(
+    record: Callable[..., tuple[GyroSamples, AttitudeReference]],
+    samples_of: Maker,
+    is_rest_last: bool,
+) -> None:
+    """Before, the calibration stated the offset of the last recording."""
+    moving, resting = record(shift_s=0.02), rest_of(samples_of, seed=3)
+    recordings = [moving, resting] if is_rest_last else [resting, moving]
+    fit = fit_attitude(recordings)
+    assert abs(fit.time_offset_s - 0.02) < FAR * fit.std["time_offset"]
+    names, context = ("first", "second"), RecordingContext(begin_s=0.0, end_s=40.0)
+    space = fit_attitude_space(
+        [
+            AttitudeRecording(name, *pair, replace(context, recording_index=k))
+            for k, (name, pair) in enumerate(zip(names, recordings, strict=True))
+        ]
+    )
+    assert space.offset_recording == (0 if is_rest_last else 1)
+    assert space.summarize().time_offset_s == pytest.approx(fit.time_offset_s, rel=1e-6)
 
 
 @pytest.mark.parametrize("shift_s", [1.5, -3.0])

@@ -86,7 +86,7 @@ class AttitudeLinearisation:
     projector: AttitudeProjector
     fit: GyroFit  # without the uncertainty of the causes
     calibration: CalibrationValues
-    covariance: FloatArray  # (13, 13), of G and the last recording's bias and lag, without causes
+    covariance: FloatArray  # (13, 13), of G, the last bias and the stated lag, without causes
     step: FloatArray  # from the fit to the optimum of the projector with the causes
 
     @classmethod
@@ -129,7 +129,7 @@ class AttitudeLinearisation:
         jacobian = np.eye(len(CALIBRATION_PARAMETERS))
         jacobian[:9, :9] = factor_jacobian(factors)
         calibration = CalibrationValues(
-            np.concatenate([factors.as_vector(), solved.solver.estimate[9:]]),
+            np.concatenate([factors.as_vector(), solved.estimate[9:]]),
             np.array([fit.std.get(name, np.nan) for name in CALIBRATION_PARAMETERS]),
             jacobian,
         )
@@ -167,7 +167,7 @@ class AttitudeFitSpace(FitSpace):
         self.terms, self.base_terms = attitude_terms(), at.fit.terms
         contexts = {state.context.recording_index: state.context for state in self.base.states}
         self.recording_names = tuple(contexts[k].recording_name for k in sorted(contexts))
-        self.offset_recording = len(self.recording_names) - 1
+        self.offset_recording = at.solved.offset_recording
         self.duration_s = float(sum(np.ptp(state.edges_s) for state in self.base.states))
         self.fitted_terms = () if effects is None else effects.fitted_terms
         self.convergence = CONVERGED if effects is None else effects.convergence

@@ -65,6 +65,19 @@ class AttitudeFit:
     band_hz: float  # lower than requested if the bands disagree
     resolved: tuple[ResolvedReference, ...]  # of each recording
 
+    @property
+    def offset_recording(self) -> int:
+        """The recording of the time offset: the last one that shows it. A rest does not."""
+        last = len(self.solver.biases) - 1
+        return max(self.solver.recordings_with_lag(self.linearised), default=last)
+
+    @property
+    def estimate(self) -> FloatArray:
+        """G, b of the last recording, and tau of `offset_recording`, shape (13,)."""
+        solver = self.solver
+        lag_s = solver.lags_s[[self.offset_recording]]
+        return np.concatenate([solver.gain.ravel(), solver.biases[-1], lag_s])
+
 
 def solve_attitude(
     recordings: Sequence[tuple[GyroSamples, AttitudeReference]],
@@ -148,7 +161,8 @@ def _solve_segments(
         band_hz *= LOWER_BAND_SHARE
         solver = AttitudeSolver(segments, band_hz, recording_of_segment, effects)
         linearised = solver.run()
-    if solver.lags_at_limit(linearised):
+    lags_s = solver.lags_s[solver.recordings_with_lag(linearised)]
+    if np.any(np.abs(lags_s) > 0.999 * LAG_LIMIT_S):
         raise InputError(
             "the times of the gyroscope and of the reference attitudes seem to differ by more than "
             f"{LAG_LIMIT_S:.3g} s, which is the limit of the fit",
@@ -187,7 +201,7 @@ def _compare_bands(solver: AttitudeSolver) -> _BandComparison:
     std = np.sqrt(
         np.diag(observability.covariance)[:9] + np.diag(observability.unobservable_covariance)[:9]
     )
-    change = (lower.estimate - solver.estimate)[:9]
+    change = (lower.gain - solver.gain).ravel()
     worst = int(np.argmax(np.abs(change) / std))
     difference_sigma = float(abs(change[worst]) / std[worst])
     if difference_sigma < MAX_BAND_DIFFERENCE_SIGMA:

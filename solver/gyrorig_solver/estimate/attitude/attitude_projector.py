@@ -72,6 +72,8 @@ class AttitudeProjector(NuisanceProjector):
         self.block_segments, self.whiteners = tuple(block_segments), tuple(whiteners)
         self._noise = noise
         self.recording_count = 1 + max(segment.recording for segment in block_segments)
+        with_lag = (segment.recording for segment in block_segments if segment.slope.any())
+        self._offset_recording = max(with_lag, default=self.recording_count - 1)
         segments = [
             SeriesSegment(
                 session_index=segment.recording,
@@ -202,9 +204,12 @@ class AttitudeProjector(NuisanceProjector):
         ]
 
     def analyse_observability(self) -> ObservabilityAnalysis:
-        """Return the analysis of G, bias and time offset of the last recording, and causes."""
+        """Return the analysis of G, the last bias, the stated time offset, and causes.
+
+        The time offset is that of the last recording that shows it.
+        """
         layout = ParameterLayout.of([self.fitted_terms], self.recording_count)
-        keep = layout.index(self.recording_count - 1)
+        keep = layout.index(self.recording_count - 1, offset_recording=self._offset_recording)
         information = eliminate_parameters(self._basis @ self._basis.T, keep, layout.prior_std)
         analysis = analyse_scaled_observability(information, layout.prior_std[keep])
         return analysis.widened(np.sqrt(self._variance_factors(layout.prior_std)[keep]))

@@ -155,20 +155,10 @@ class AttitudeSolver:
         self._leverage = np.full((rows, 3), min(4.0 / rows, 0.5))
         self.bin = _log_bins(self.frequency_hz)
 
-    def lags_at_limit(self, linearised: LinearisedModel) -> list[int]:
-        """Return the recordings whose motion shows a time offset beyond the limit of the search."""
-        last = [int(self.layout.index(k)[-1]) for k in range(len(self.lags_s))]
-        return [
-            k
-            for k, lag_s in enumerate(self.lags_s.tolist())
-            if abs(lag_s) > 0.999 * LAG_LIMIT_S
-            and linearised.slope_share(last[k]) > MIN_SLOPE_SHARE
-        ]
-
-    @property
-    def estimate(self) -> FloatArray:
-        """G, and b, tau of the last recording, shape (13,)."""
-        return np.concatenate([self.gain.ravel(), self.biases[-1], self.lags_s[-1:]])
+    def recordings_with_lag(self, linearised: LinearisedModel) -> list[int]:
+        """Return the recordings whose motion shows the time offset."""
+        lags = [int(self.layout.index(k)[-1]) for k in range(len(self.lags_s))]
+        return [k for k, lag in enumerate(lags) if linearised.slope_share(lag) > MIN_SLOPE_SHARE]
 
     def run(self) -> LinearisedModel:
         """Iterate to convergence and return the last linearisation."""

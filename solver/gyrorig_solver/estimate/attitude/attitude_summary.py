@@ -68,7 +68,9 @@ def summarize_attitude_fit(
     """Return the summary of a fit; see `fit_attitude`."""
     solver = fit.solver
     inflation = solver.score_inflation(fit.linearised)
-    observability = _recording_observability(fit, inflation, len(solver.biases) - 1)
+    observability = _recording_observability(
+        fit, inflation, len(solver.biases) - 1, fit.offset_recording
+    )
     outcome = build_outcome(fit, recordings, observability, inflation)
     return build_gyro_fit(outcome, [samples for samples, _ in recordings])
 
@@ -84,13 +86,13 @@ def build_outcome(
     Args:
         fit: the fit.
         recordings: samples and attitudes, in the order of the fit.
-        observability: of G, and of the last recording's bias and time offset.
+        observability: of G, of the last recording's bias, and of the stated time offset.
         inflation: variance of the scores, relative to that by the noise.
     """
     solver, bands = fit.solver, fit.bands
     rms_before, rms_after = _held_out_rms(solver)
     return FitOutcome(
-        estimate=solver.estimate,
+        estimate=fit.estimate,
         observability=observability,
         reduced_chi2=inflation,
         outliers=fit.linearised.glitches + sum(outcome.outliers for outcome in fit.resolved),
@@ -116,22 +118,23 @@ def build_outcome(
 
 
 def widened_observability(fit: AttitudeFit) -> ObservabilityAnalysis:
-    """Return the observability of G, and of the last recording's bias and time offset."""
+    """Return the observability of G, the last recording's bias, and the stated time offset."""
     inflation = fit.solver.score_inflation(fit.linearised)
-    return _recording_observability(fit, inflation, len(fit.solver.biases) - 1)
+    last = len(fit.solver.biases) - 1
+    return _recording_observability(fit, inflation, last, fit.offset_recording)
 
 
 def _recording_observability(
-    fit: AttitudeFit, inflation: float, recording: int
+    fit: AttitudeFit, inflation: float, recording: int, offset_recording: int
 ) -> ObservabilityAnalysis:
-    """Return the observability of G and one recording's (b, tau), with widened covariance."""
+    """Return the observability of G, b of one recording and tau of another, widened."""
     solver, layout = fit.solver, fit.solver.layout
-    keep = layout.index(recording)
+    keep = layout.index(recording, offset_recording=offset_recording)
     information = eliminate_parameters(fit.linearised.information(), keep, layout.prior_std)
     information /= max(1.0, inflation) * fit.bands.std_factor**2
     # The common offset of the times is one more unknown with the derivatives of the time offset
     # and a prior; it is eliminated.
-    variance_s2 = fit.resolved[recording].offset_std_s ** 2
+    variance_s2 = fit.resolved[offset_recording].offset_std_s ** 2
     lag = information[:, 12]
     analysis = analyse_observability(
         information - np.outer(lag, lag) * variance_s2 / (1.0 + variance_s2 * lag[12]),
@@ -144,7 +147,7 @@ def _recording_observability(
 def _recording_fits(fit: AttitudeFit, inflation: float) -> tuple[RecordingFit, ...]:
     fits = []
     for k, (bias, lag_s) in enumerate(zip(fit.solver.biases, fit.solver.lags_s, strict=True)):
-        analysis = _recording_observability(fit, inflation, k)
+        analysis = _recording_observability(fit, inflation, k, k)
         std = np.sqrt(np.diag(analysis.covariance)[9:13])
         is_observed = analysis.is_observable(12)
         fits.append(

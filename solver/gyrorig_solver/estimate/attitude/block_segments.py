@@ -41,7 +41,7 @@ class BlockSegment:
     measured: FloatArray  # (blocks, 3), the gyro
     modelled: FloatArray  # (blocks, 3), G w + b of the fit
     rate: FloatArray  # (blocks, 3), of the stage, from the gyro
-    slope: FloatArray  # (blocks, 3), of the gyro by the lag
+    slope: FloatArray  # (blocks, 3), of the gyro by the lag; zero at rest, where it is noise
     time_s: FloatArray  # (blocks,)
     in_band_count: int  # coefficients in the band
     solver_segment: int = 0  # number of this segment in the fit
@@ -102,7 +102,7 @@ def build_block_segments(
         contexts: of each recording.
         readings: of each recording's accelerometer.
     """
-    solver = fit.solver
+    solver, with_lag = fit.solver, fit.solver.recordings_with_lag(fit.linearised)
     inverse = np.linalg.inv(solver.gain).T
     segments = []
     for k, (segment, recording) in enumerate(
@@ -153,7 +153,8 @@ def build_block_segments(
                 modelled=without_effect
                 - _group_means(cleaned.residual[:n], intervals_per_block * steps_per_interval),
                 rate=_group_means(rate, intervals_per_block),
-                slope=_group_means(cleaned.slope[:n], intervals_per_block * steps_per_interval),
+                slope=_group_means(cleaned.slope[:n], intervals_per_block * steps_per_interval)
+                * float(recording in with_lag),
                 time_s=middle_s.reshape(block_count, intervals_per_block).mean(axis=1),
                 in_band_count=min(
                     block_count,
