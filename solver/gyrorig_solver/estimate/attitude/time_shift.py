@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
-from scipy.signal import correlate, correlation_lags
+from scipy import fft
 
 from gyrorig_protocol.errors import InputError
 from gyrorig_solver.data import FloatArray, IntArray
@@ -63,7 +63,7 @@ def find_time_shift(samples: GyroSamples, reference: AttitudeReference) -> float
     )
     if max(gyro.valid.size, attitudes.valid.size) > MAX_STEPS:
         return None
-    lags = correlation_lags(gyro.valid.size, attitudes.valid.size)
+    lags = np.arange(1 - attitudes.valid.size, gyro.valid.size)
     begin_s = gyro.begin_s - attitudes.begin_s
     is_near = np.abs(lags * STEP_S + begin_s) <= MAX_LAG_S
     best = int(np.argmax(_speed_correlation(gyro, attitudes)))
@@ -111,7 +111,7 @@ def _speed_correlation(gyro: _MeanRates, attitudes: _MeanRates) -> FloatArray:
     limit_rad_s = MAX_SPEED_RATIO * gyro.largest_rad_s
     first, second = gyro.speeds(limit_rad_s), attitudes.speeds(limit_rad_s)
     product, count, power, other_power = (
-        correlate(a, b, method="fft")
+        _correlate(a, b)
         for a, b in (
             (first, second),
             (gyro.valid, attitudes.valid),
@@ -122,6 +122,14 @@ def _speed_correlation(gyro: _MeanRates, attitudes: _MeanRates) -> FloatArray:
     enough = count > MIN_OVERLAP * min(gyro.valid.sum(), attitudes.valid.sum())
     scale = np.sqrt(np.maximum(power * other_power, 0.0))
     return np.where(enough & (scale > 0.0), product / np.maximum(scale, 1e-30), 0.0)
+
+
+def _correlate(first: FloatArray, second: FloatArray) -> FloatArray:
+    """Return the sum of first[k + lag] second[k] over k, for lags from 1 - second.size."""
+    size = first.size + second.size - 1
+    length = fft.next_fast_len(size, real=True)
+    product = fft.rfft(first, length) * np.conj(fft.rfft(second, length))
+    return np.asarray(np.roll(fft.irfft(product, length), second.size - 1)[:size], np.float64)
 
 
 def _explained_share(gyro: _MeanRates, attitudes: _MeanRates, lag: int) -> float:
