@@ -23,16 +23,13 @@ from gyrorig_protocol.errors import InputError
 from gyrorig_solver.data import FloatArray
 from gyrorig_solver.data.samples import GyroSamples
 from gyrorig_solver.estimate.attitude.attitude_matching import AttitudeSegment, match_segments
-from gyrorig_solver.estimate.attitude.attitude_solver import (
-    LAG_LIMIT_S,
-    AttitudeSolver,
-    LinearisedModel,
-)
+from gyrorig_solver.estimate.attitude.attitude_solver import LAG_LIMIT_S, AttitudeSolver
 from gyrorig_solver.estimate.attitude.attitude_times import (
     ResolvedReference,
     no_common_stretch,
     resolve_times,
 )
+from gyrorig_solver.estimate.attitude.linearised_model import LinearisedModel
 from gyrorig_solver.estimate.attitude.time_shift import check_time_shift
 from gyrorig_solver.estimate.information import PARAMETER_NAMES
 from gyrorig_solver.estimate.observability import (

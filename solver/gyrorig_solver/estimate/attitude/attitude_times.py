@@ -19,13 +19,14 @@ from gyrorig_solver.estimate.attitude.attitude_matching import (
     match_segments,
 )
 from gyrorig_solver.estimate.attitude.attitude_repair import remove_outliers, remove_swapped
-from gyrorig_solver.estimate.attitude.attitude_solver import AttitudeSolver, LinearisedModel
+from gyrorig_solver.estimate.attitude.attitude_solver import AttitudeSolver
 from gyrorig_solver.estimate.attitude.lag_drift import (
     WINDOW_S,
     LagDrift,
     estimate_drift,
     fit_drift,
 )
+from gyrorig_solver.estimate.attitude.linearised_model import LinearisedModel
 from gyrorig_solver.reference import AttitudeReference
 from gyrorig_solver.reference.attitude_reference import DriftCorrection
 from gyrorig_solver.reference.attitude_stamps import MIN_STAMPS

@@ -12,12 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from gyrorig_solver.data import BoolArray, FloatArray
-from gyrorig_solver.estimate.attitude.attitude_solver import (
-    MIN_SLOPE_SHARE,
-    AttitudeSolver,
-    inverse_band_dct,
-)
+from gyrorig_solver.estimate.attitude.attitude_solver import AttitudeSolver, inverse_band_dct
 from gyrorig_solver.estimate.attitude.lag_sawtooth import Sawtooth, WindowLags
+from gyrorig_solver.estimate.attitude.linearised_model import MIN_SLOPE_SHARE
 
 WINDOW_S = 1.0  # of one value of the time offset
 # Gains in chi-square. For the slope, 12 has a probability of 1 in 2000 by chance. A step is
