@@ -9,7 +9,7 @@ from typing import Self
 
 import numpy as np
 
-from gyrorig_solver.data import FloatArray
+from gyrorig_solver.data import FloatArray, IntArray
 from gyrorig_solver.discover.cause_findings import CalibrationChange
 from gyrorig_solver.estimate import (
     GAIN_PARAMETERS,
@@ -31,11 +31,13 @@ class CalibrationValues:
 
     values: FloatArray  # (13,)
     std: FloatArray  # (13,), NaN if the data do not determine a value
-    jacobian: FloatArray  # (13, 13), derivatives by the parameters of the fit
+    jacobian: FloatArray  # (13, 13), derivatives by the stated parameters of the fit
+    stated: IntArray  # (13,), their indices among G and (b, tau) of each recording
 
     @classmethod
     def of(cls, solution: ConvergedFit) -> Self:
-        """Return the calibration of a fit, with the bias and time offset of its last recording."""
+        """Return the calibration of a fit: the last bias, and the last time offset it shows."""
+        layout = ParameterLayout.of([()], len(solution.sessions))
         first_recording = slice(0, GAIN_PARAMETERS + SESSION_PARAMETERS)
         derived = propagate_to_factors(
             solution.estimate[first_recording],
@@ -47,11 +49,18 @@ class CalibrationValues:
             np.sqrt(np.clip(np.diag(derived.data), 0.0, None)),
             np.nan,
         )
-        return cls(derived.values, std, derived.jacobian)
+        stated = layout.index(
+            len(solution.sessions) - 1, offset_recording=solution.offset_recording
+        )
+        return cls(derived.values, std, derived.jacobian, stated)
 
     def propagate(self, parameter_shift: FloatArray) -> FloatArray:
-        """Return the change of each parameter, (13,), from a change of (G, b, tau) of the fit."""
-        return np.asarray(self.jacobian @ parameter_shift, dtype=np.float64)
+        """Return the first-order change of each parameter, (13,).
+
+        Args:
+            parameter_shift: the change of G and (b, tau) of each recording, (board,).
+        """
+        return np.asarray(self.jacobian @ parameter_shift[self.stated], dtype=np.float64)
 
     def changes_from(self, before: FloatArray) -> tuple[CalibrationChange, ...]:
         """Return the change of each observable parameter from `before`, (13,), largest first."""
@@ -68,16 +77,3 @@ class CalibrationValues:
             if np.isfinite(std)
         ]
         return tuple(sorted(known_changes, key=lambda change: -change.sigma))
-
-
-def stated_part(parameter_shift: FloatArray, recordings: int, offset_recording: int) -> FloatArray:
-    """Return the part, (13,), of a change of all fitted parameters that the calibration states.
-
-    Args:
-        parameter_shift: the change.
-        recordings: their number. The calibration states the bias of the last one.
-        offset_recording: the recording whose time offset the calibration states.
-    """
-    layout = ParameterLayout.of([()], recordings)
-    stated = layout.index(recordings - 1, offset_recording=offset_recording)
-    return np.asarray(parameter_shift[stated], dtype=np.float64)

@@ -181,10 +181,7 @@ def find_detection_limits(
         if not np.isfinite(size) or size > max(abs(parameter.lower), abs(parameter.upper)):
             untestable.append(UntestableCause(score.term.cause, score.place, score.term.excitation))
             continue
-        bias_sigma = (
-            np.abs(space.calibration_shift(calibration, detectable.parameter_shift))
-            / calibration.std
-        )
+        bias_sigma = np.abs(calibration.propagate(detectable.parameter_shift)) / calibration.std
         worst = int(np.nanargmax(bias_sigma)) if np.isfinite(bias_sigma).any() else 0
         worst_sigma = float(bias_sigma[worst]) if np.isfinite(bias_sigma[worst]) else 0.0
         limits.append(

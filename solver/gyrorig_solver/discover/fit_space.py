@@ -16,7 +16,7 @@ from dataclasses import dataclass, field
 from typing import Self, TypeVar
 
 from gyrorig_solver.data import FloatArray
-from gyrorig_solver.discover.calibration_changes import CalibrationValues, stated_part
+from gyrorig_solver.discover.calibration_changes import CalibrationValues
 from gyrorig_solver.discover.cause_findings import DependenceTest
 from gyrorig_solver.discover.exact_fit import FittedCandidate
 from gyrorig_solver.estimate import (
@@ -115,15 +115,6 @@ class FitSpace(ABC):
 
         Only the part that the calibration states is necessary; the rest can be zero.
         """
-
-    def calibration_shift(
-        self, calibration: CalibrationValues, parameter_shift: FloatArray
-    ) -> FloatArray:
-        """Return the first-order change of a calibration, (13,), by one of G and each (b, tau)."""
-        recordings = len(self.recording_names)
-        return calibration.propagate(
-            stated_part(parameter_shift, recordings, self.offset_recording)
-        )
 
     @abstractmethod
     def dependence_tests(self, projector: NuisanceProjector) -> list[DependenceTest]:

@@ -53,7 +53,7 @@ def name_cause(
     """
     extension, candidate = space.fitted_terms[k], ranked.candidate
     all_sizes = value_indices(extension.term, role="size")
-    left_out = space.calibration_shift(calibration, candidate.absorbed)
+    left_out = calibration.propagate(candidate.absorbed)
     number = recording_index_of(extension.term)
     return NamedCause(
         term=extension.term,

@@ -26,7 +26,7 @@ from gyrorig_solver.model import (
     value_parameters,
     zero_signals,
 )
-from gyrorig_solver.model.term import FILTER_STAGES, SIGNAL_PATH
+from gyrorig_solver.model.cause_categories import FILTER_STAGES, SIGNAL_PATH
 
 CLIPPING_STAGES = ("threshold", "limit")  # stages that clip rates
 FILTER_DERIVATIVE_STEP = 1e-3  # of a typical size

@@ -12,6 +12,7 @@ from gyrorig_solver.model.catalogue import (
     find_term,
     term_of_law,
 )
+from gyrorig_solver.model.cause_categories import Part, Stage
 from gyrorig_solver.model.gain_matrix import (
     FACTOR_NAMES,
     GAIN_NAMES,
@@ -51,8 +52,6 @@ from gyrorig_solver.model.signal_arrays import (
 from gyrorig_solver.model.signal_state import SignalState
 from gyrorig_solver.model.term import (
     BinnedDependence,
-    Part,
-    Stage,
     Term,
     TermParameter,
     components_of,

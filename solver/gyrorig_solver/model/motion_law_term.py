@@ -6,8 +6,8 @@ from the measured angles.
 
 import numpy as np
 
+from gyrorig_solver.model.cause_categories import EDGE_COVARIATES
 from gyrorig_solver.model.signal_state import SignalState
-from gyrorig_solver.model.term import EDGE_COVARIATES, NO_ANGLES
 from gyrorig_solver.model.term_kinds import AngleTerm
 
 
@@ -19,18 +19,17 @@ class MotionLawTerm(AngleTerm):
 
     def missing_data(self, state: SignalState) -> str | None:
         """Return why the commanded moves are unknown, or None; counts contain the error."""
-        if state.lacks_angles:
-            return NO_ANGLES
         has_commands = state.context.rad_per_step is not None and state.context.motion_profiles
         if _moves(state) and not has_commands:
             return "the recording has no commands to the unit; record the commands too"
-        return None
+        return super().missing_data(state)
 
     def missing_excitation(self, state: SignalState) -> str | None:
         """Return that the unit does not move, or None."""
-        if not state.has_angles:
-            return NO_ANGLES
-        return None if _moves(state) else "the unit does not move; record a program that moves it"
+        missing = super().missing_excitation(state)
+        if missing is None and not _moves(state):
+            return "the unit does not move; record a program that moves it"
+        return missing
 
 
 def _moves(state: SignalState) -> bool:

@@ -11,17 +11,10 @@ from abc import abstractmethod
 import numpy as np
 
 from gyrorig_solver.data import FloatArray
+from gyrorig_solver.model.cause_categories import Part, Scope, Stage
 from gyrorig_solver.model.signal_arrays import stack_signals, zero_signals
 from gyrorig_solver.model.signal_state import SignalState
-from gyrorig_solver.model.term import (
-    Part,
-    Scope,
-    Stage,
-    Term,
-    start_values,
-    value_indices,
-    value_parameters,
-)
+from gyrorig_solver.model.term import Term, start_values, value_indices, value_parameters
 
 
 class LinearTerm(Term):

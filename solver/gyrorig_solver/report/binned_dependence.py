@@ -11,7 +11,7 @@ import numpy as np
 
 from gyrorig_solver.data import BoolArray, FloatArray
 from gyrorig_solver.model import BinnedDependence
-from gyrorig_solver.model.term import Quantity
+from gyrorig_solver.model.cause_categories import Quantity
 from gyrorig_solver.report.report_series import ReportSeries
 
 MIN_BLOCKS_PER_BIN = 12  # fewer give no reliable interval

@@ -1,8 +1,7 @@
 """Uncertainty budget of a fit: the contributions of causes that the fit has not identified."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 
@@ -12,7 +11,6 @@ from gyrorig_solver.discover import (
     AttitudeFitSpace,
     CalibrationValues,
 )
-from gyrorig_solver.discover.calibration_changes import stated_part
 from gyrorig_solver.estimate import (
     GAIN_PARAMETERS,
     SESSION_PARAMETERS,
@@ -159,8 +157,7 @@ def assess_space(
         return UncertaintyBudget(np.zeros((size, size)), np.zeros(size), (), settings)
     statistics = _joint_statistics(projector, causes)
     calibration = space.calibration()
-    shift = partial(space.calibration_shift, calibration)
-    return _budget_by_data(calibration, shift, statistics, causes, settings)
+    return _budget_by_data(calibration, statistics, causes, settings)
 
 
 def _assess_causes(
@@ -182,20 +179,12 @@ def _assess_causes(
         marginals = [UnitMarginals.of(fit, unit_prior) for fit in fits]
         mixture = _corrected_mixture(calibration, marginals[-1], fits[-1], unit_prior, causes)
         return _corrected_budget(calibration, marginals, causes, settings, information, mixture)
-
-    def shift_of(parameter_shift: FloatArray) -> FloatArray:
-        """Return the change of the calibration by one of all parameters of the fit."""
-        recordings = len(solution.sessions)
-        part = stated_part(parameter_shift, recordings, solution.offset_recording)
-        return calibration.propagate(part)
-
-    budget = _budget_by_data(calibration, shift_of, statistics, causes, settings, fits[-1])
+    budget = _budget_by_data(calibration, statistics, causes, settings, fits[-1])
     return replace(budget, unit_information=information)
 
 
 def _budget_by_data(
     calibration: CalibrationValues,
-    shift_of: Callable[[FloatArray], FloatArray],
     statistics: ScoreStatistics,
     causes: Sequence[UnidentifiedCause],
     settings: UncertaintySettings,
@@ -205,14 +194,13 @@ def _budget_by_data(
 
     Args:
         calibration: the stated values.
-        shift_of: returns the change of the stated values, (13,), by one of all parameters.
         statistics: of the causes at the fit.
         causes: those that were not identified.
         settings: prior sizes.
         fit: the last one of the linearised fits; without it, `statistics` has the information of
             the data.
     """
-    influence = np.stack([shift_of(absorbed) for absorbed in statistics.absorbed])
+    influence = np.stack([calibration.propagate(absorbed) for absorbed in statistics.absorbed])
     data = statistics if fit is None else fit
     marginal = MarginalCauses.of(data.information, data.score, influence)
     return UncertaintyBudget(

@@ -30,11 +30,11 @@ def test_a_change_of_the_survey_changes_the_stated_time_offset(pair: tuple[Any, 
     layout = ParameterLayout.of([()], 2)
     offset_s = np.zeros(layout.size)
     offset_s[layout.index(0)[-1]] = 1e-3
-    stated = space.calibration_shift(space.calibration(), offset_s)
+    stated = space.calibration().propagate(offset_s)
     assert stated[OFFSET] == pytest.approx(1e-3)
     offset_s = np.zeros(layout.size)
     offset_s[layout.index(1)[-1]] = 1e-3
-    assert not space.calibration_shift(space.calibration(), offset_s).any()
+    assert not space.calibration().propagate(offset_s).any()
 
 
 def test_the_detection_limits_include_those_of_the_survey(pair: tuple[Any, Any]) -> None:

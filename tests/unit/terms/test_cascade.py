@@ -22,8 +22,8 @@ from gyrorig_solver.model import (
     value_parameters,
 )
 from gyrorig_solver.model.catalogue import catalogue
+from gyrorig_solver.model.cause_categories import SIGNAL_PATH
 from gyrorig_solver.model.speed_jumps import find_speed_jumps
-from gyrorig_solver.model.term import SIGNAL_PATH
 from gyrorig_solver.reference import MotionLimits, plan_motion
 from gyrorig_solver.reference.unit.motion_profile import ProfileCommand
 

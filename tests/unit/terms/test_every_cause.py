@@ -18,7 +18,7 @@ from gyrorig_solver.model import (
     value_parameters,
 )
 from gyrorig_solver.model.catalogue import catalogue
-from gyrorig_solver.model.term import ANGLE_COVARIATES, EDGE_COVARIATES, RATE_COVARIATES
+from gyrorig_solver.model.cause_categories import ANGLE_COVARIATES, EDGE_COVARIATES, RATE_COVARIATES
 
 # The contract's table (results: catalogue of causes).
 CONTRACT = {

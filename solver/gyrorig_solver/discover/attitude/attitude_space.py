@@ -18,7 +18,6 @@ from gyrorig_solver.discover.attitude.cause_effects import CONVERGED, CauseEffec
 from gyrorig_solver.discover.calibration_changes import (
     CALIBRATION_PARAMETERS,
     CalibrationValues,
-    stated_part,
 )
 from gyrorig_solver.discover.cause_findings import DependenceTest
 from gyrorig_solver.discover.checks.residual_dependence import dependences_on
@@ -132,6 +131,9 @@ class AttitudeLinearisation:
             np.concatenate([factors.as_vector(), solved.estimate[9:]]),
             np.array([fit.std.get(name, np.nan) for name in CALIBRATION_PARAMETERS]),
             jacobian,
+            ParameterLayout.of([()], len(recordings)).index(
+                len(recordings) - 1, offset_recording=solved.offset_recording
+            ),
         )
         size = projector.best_step().size
         step = projector.with_terms(fitted_terms).best_step()[:size]
@@ -265,7 +267,7 @@ class AttitudeFitSpace(FitSpace):
         """
         base = self.at.calibration
         step = self._projector.best_step()[: self.at.step.size] - self.at.step
-        shift = self.calibration_shift(base, step)
+        shift = base.propagate(step)
         return replace(base, values=base.values + shift, std=base.std * self._std_ratio())
 
     def summarize(self, warnings: Sequence[str] = ()) -> GyroFit:
@@ -281,12 +283,12 @@ class AttitudeFitSpace(FitSpace):
         pairs = [(recording.samples, recording.reference) for recording in self.at.recordings]
         base = build_outcome(self.at.solved, pairs, self.observability, self.fit.reduced_chi2)
         step = self._projector.best_step()[: self.at.step.size] - self.at.step
-        last = stated_part(step, len(self.recording_names), self.offset_recording)
+        stated_step = step[self.at.calibration.stated]
         layout = ParameterLayout.of([self.fitted_terms], 1)
         causes = [term.values[term.free_indices] for term in self.fitted_terms]
         outcome = replace(
             base,
-            estimate=np.concatenate([base.estimate + last, *causes]),
+            estimate=np.concatenate([base.estimate + stated_step, *causes]),
             observability=self._observability_of_calibration(),
             terms=(*base.terms, *dict.fromkeys(term.term.cause for term in self.fitted_terms)),
             names=layout.parameter_names,

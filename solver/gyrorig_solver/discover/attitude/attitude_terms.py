@@ -36,7 +36,8 @@ from gyrorig_solver.model import (
     start_values,
 )
 from gyrorig_solver.model.catalogue import catalogue
-from gyrorig_solver.model.term import Scope, size_parameter
+from gyrorig_solver.model.cause_categories import Scope
+from gyrorig_solver.model.term import size_parameter
 
 
 class ReferenceSmoothing(LinearTerm):

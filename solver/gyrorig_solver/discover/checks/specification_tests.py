@@ -44,7 +44,7 @@ from gyrorig_solver.discover.fit_space import FitSpace, Space
 from gyrorig_solver.discover.fitted_values import value_stds
 from gyrorig_solver.estimate import FittedTerm, NuisanceProjector, join_signals
 from gyrorig_solver.model import SignalState, recording_index_of, value_indices
-from gyrorig_solver.model.term import ANGLE_COVARIATES
+from gyrorig_solver.model.cause_categories import ANGLE_COVARIATES
 
 # Share of right names that the test may reject: a quarter of the right names that may be lost.
 REJECTION_LEVEL = 0.005

@@ -115,7 +115,7 @@ def _read_board(folder: Path, options: ImportOptions) -> MeasuredBoard:
 def _name_unknown_devices(
     boards: list[MeasuredBoard], folders: list[Path]
 ) -> tuple[list[MeasuredBoard], list[str]]:
-    """Return the boards, each device without a serial number with a name of its own, and notes."""
+    """Return the boards and notes; devices without a serial number get numbered names."""
     unknown = [k for k, board in enumerate(boards) if board.metadata["uid"] == "unknown"]
     if len(unknown) < 2:
         return boards, []

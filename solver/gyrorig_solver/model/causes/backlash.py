@@ -16,9 +16,10 @@ the covariance of the gain includes it.
 import numpy as np
 
 from gyrorig_solver.data import FloatArray
+from gyrorig_solver.model.cause_categories import EDGE_COVARIATES
 from gyrorig_solver.model.drive_effects import apply_play
 from gyrorig_solver.model.signal_state import SignalState
-from gyrorig_solver.model.term import EDGE_COVARIATES, shape_parameter, size_parameter
+from gyrorig_solver.model.term import shape_parameter, size_parameter
 from gyrorig_solver.model.term_kinds import AngleTerm, scan_grid
 from gyrorig_solver.model.value_format import DEG, PAN_TILT, format_list
 

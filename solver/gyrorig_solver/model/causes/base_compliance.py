@@ -15,11 +15,12 @@ sample out. The same is true if the motor has crossed a gap and the stage starts
 import numpy as np
 
 from gyrorig_solver.data import BoolArray, FloatArray
+from gyrorig_solver.model.cause_categories import EDGE_COVARIATES
 from gyrorig_solver.model.drive_effects import second_derivative
 from gyrorig_solver.model.signal_arrays import zero_signals
 from gyrorig_solver.model.signal_state import SignalState
 from gyrorig_solver.model.speed_jumps import angle_of_jumps, find_speed_jumps, jump_responses
-from gyrorig_solver.model.term import EDGE_COVARIATES, size_parameter
+from gyrorig_solver.model.term import size_parameter
 from gyrorig_solver.model.term_kinds import LinearAngleTerm
 from gyrorig_solver.model.value_format import PAN_TILT, format_list
 

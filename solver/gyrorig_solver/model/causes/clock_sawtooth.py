@@ -11,14 +11,9 @@ which the recording contains two corrections, each with moves before and after i
 import numpy as np
 
 from gyrorig_solver.data import FloatArray
+from gyrorig_solver.model.cause_categories import TemplateSearch
 from gyrorig_solver.model.signal_state import SignalState
-from gyrorig_solver.model.term import (
-    EVENT_TIME,
-    BinnedDependence,
-    TemplateSearch,
-    TermParameter,
-    shape_parameter,
-)
+from gyrorig_solver.model.term import EVENT_TIME, BinnedDependence, TermParameter, shape_parameter
 from gyrorig_solver.model.term_kinds import TimeTerm
 
 MIN_PERIOD_S = 2.0

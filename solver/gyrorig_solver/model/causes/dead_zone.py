@@ -12,9 +12,10 @@ from typing import Self
 import numpy as np
 
 from gyrorig_solver.data import BoolArray, FloatArray
+from gyrorig_solver.model.cause_categories import RATE_COVARIATES
 from gyrorig_solver.model.signal_arrays import split_axes
 from gyrorig_solver.model.signal_state import SignalState
-from gyrorig_solver.model.term import RATE_COVARIATES, BinnedDependence, size_parameter
+from gyrorig_solver.model.term import BinnedDependence, size_parameter
 from gyrorig_solver.model.term_kinds import NonlinearTerm, scan_grid
 from gyrorig_solver.model.value_format import DEG, XYZ, format_list
 

@@ -17,9 +17,10 @@ from dataclasses import replace
 import numpy as np
 
 from gyrorig_solver.data import FloatArray
+from gyrorig_solver.model.cause_categories import EDGE_COVARIATES
 from gyrorig_solver.model.low_pass import LowPass
 from gyrorig_solver.model.signal_state import SignalState
-from gyrorig_solver.model.term import EDGE_COVARIATES, LONG_RECORDING, TermParameter
+from gyrorig_solver.model.term import LONG_RECORDING, TermParameter
 from gyrorig_solver.model.term_kinds import NonlinearTerm, scan_grid
 
 MAX_CUTOFF_SHARE = 0.45  # of the grid rate: a digital filter cannot have a higher cut-off

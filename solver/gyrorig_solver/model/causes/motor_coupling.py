@@ -7,14 +7,10 @@ vibration it does not grow with speed.
 import numpy as np
 
 from gyrorig_solver.data import FloatArray
+from gyrorig_solver.model.cause_categories import RATE_COVARIATES
 from gyrorig_solver.model.signal_arrays import on_all_axes, split_axes
 from gyrorig_solver.model.signal_state import SignalState
-from gyrorig_solver.model.term import (
-    RATE_COVARIATES,
-    BinnedDependence,
-    TermParameter,
-    size_parameter,
-)
+from gyrorig_solver.model.term import BinnedDependence, TermParameter, size_parameter
 from gyrorig_solver.model.term_kinds import LinearTerm
 from gyrorig_solver.model.value_format import DEG, XYZ, format_list
 

@@ -8,9 +8,10 @@ of the stage behind the gear. A is its share in the rotation of the stage. 5 to 
 import numpy as np
 
 from gyrorig_solver.data import FloatArray
+from gyrorig_solver.model.cause_categories import EDGE_COVARIATES
 from gyrorig_solver.model.drive_effects import resonance_deflection
 from gyrorig_solver.model.signal_state import SignalState
-from gyrorig_solver.model.term import EDGE_COVARIATES, shape_parameter, size_parameter
+from gyrorig_solver.model.term import shape_parameter, size_parameter
 from gyrorig_solver.model.term_kinds import LinearAngleTerm, scan_grid
 from gyrorig_solver.model.value_format import PAN_TILT, format_list
 

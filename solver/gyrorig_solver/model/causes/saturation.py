@@ -8,8 +8,9 @@ Samples that are flagged as saturated are excluded before; this term is for samp
 import numpy as np
 
 from gyrorig_solver.data import FloatArray
+from gyrorig_solver.model.cause_categories import RATE_COVARIATES
 from gyrorig_solver.model.signal_state import SignalState
-from gyrorig_solver.model.term import RATE_COVARIATES, BinnedDependence, TermParameter
+from gyrorig_solver.model.term import BinnedDependence, TermParameter
 from gyrorig_solver.model.term_kinds import NonlinearTerm, scan_grid
 
 SMALLEST_LIMIT, LARGEST_LIMIT = 0.02, 0.98  # of the scanned limits, relative to the full scale

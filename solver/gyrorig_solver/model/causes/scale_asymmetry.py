@@ -7,9 +7,10 @@ backward. 0.1 to 0.5 % (from memory). One BMI270 was wrong by 2 deg in ten turns
 import numpy as np
 
 from gyrorig_solver.data import FloatArray
+from gyrorig_solver.model.cause_categories import RATE_COVARIATES
 from gyrorig_solver.model.signal_arrays import split_axes
 from gyrorig_solver.model.signal_state import SignalState
-from gyrorig_solver.model.term import RATE_COVARIATES, BinnedDependence, size_parameter
+from gyrorig_solver.model.term import BinnedDependence, size_parameter
 from gyrorig_solver.model.term_kinds import LinearTerm
 from gyrorig_solver.model.value_format import XYZ, format_list
 

@@ -5,9 +5,10 @@ y_i += c_i (G omega)_i^3. 0.2 % of a full scale of 250 deg/s at its end (L3G4200
 """
 
 from gyrorig_solver.data import FloatArray
+from gyrorig_solver.model.cause_categories import RATE_COVARIATES
 from gyrorig_solver.model.signal_arrays import split_axes
 from gyrorig_solver.model.signal_state import SignalState
-from gyrorig_solver.model.term import RATE_COVARIATES, BinnedDependence, size_parameter
+from gyrorig_solver.model.term import BinnedDependence, size_parameter
 from gyrorig_solver.model.term_kinds import LinearTerm
 from gyrorig_solver.model.value_format import DEG, XYZ, format_list
 

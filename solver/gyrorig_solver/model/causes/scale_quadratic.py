@@ -5,9 +5,10 @@ scale); 0.1 deg/s at 100 deg/s is a fifth of that at 250.
 """
 
 from gyrorig_solver.data import FloatArray
+from gyrorig_solver.model.cause_categories import RATE_COVARIATES
 from gyrorig_solver.model.signal_arrays import split_axes
 from gyrorig_solver.model.signal_state import SignalState
-from gyrorig_solver.model.term import RATE_COVARIATES, BinnedDependence, size_parameter
+from gyrorig_solver.model.term import BinnedDependence, size_parameter
 from gyrorig_solver.model.term_kinds import LinearTerm
 from gyrorig_solver.model.value_format import DEG, XYZ, format_list
 

@@ -7,8 +7,9 @@ as a function of tilt.
 """
 
 from gyrorig_solver.data import FloatArray
+from gyrorig_solver.model.cause_categories import ANGLE_COVARIATES
 from gyrorig_solver.model.signal_state import SignalState
-from gyrorig_solver.model.term import ANGLE_COVARIATES, BinnedDependence, size_parameter
+from gyrorig_solver.model.term import BinnedDependence, size_parameter
 from gyrorig_solver.model.term_kinds import LinearAngleTerm
 from gyrorig_solver.model.value_format import PAN_TILT, format_list
 

@@ -8,9 +8,10 @@ turn. No data sheet of these parts states it; 5 mdeg/s at 1000 (deg/s)^2 has bee
 import numpy as np
 
 from gyrorig_solver.data import FloatArray
+from gyrorig_solver.model.cause_categories import RATE_COVARIATES
 from gyrorig_solver.model.signal_arrays import on_all_axes, split_axes
 from gyrorig_solver.model.signal_state import SignalState
-from gyrorig_solver.model.term import RATE_COVARIATES, BinnedDependence, size_parameter
+from gyrorig_solver.model.term import BinnedDependence, size_parameter
 from gyrorig_solver.model.term_kinds import LinearTerm
 from gyrorig_solver.model.value_format import DEG, XYZ, format_list
 

@@ -9,9 +9,9 @@ is periodic in the angle, not in time: its frequency grows with the speed.
 import numpy as np
 
 from gyrorig_solver.data import FloatArray
+from gyrorig_solver.model.cause_categories import ANGLE_COVARIATES
 from gyrorig_solver.model.signal_state import SignalState
 from gyrorig_solver.model.term import (
-    ANGLE_COVARIATES,
     BinnedDependence,
     TermParameter,
     shape_parameter,
