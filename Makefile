@@ -30,7 +30,7 @@ demo: $(VENV)/.solver  ## record, solve and compare on an emulated rig; writes d
 test: $(VENV)/.dev  ## run the tests; test-long, test-pages, test-docs and test-packages have the rest
 	@$(VENV)/bin/python -m pytest -q -rs -n 3 --dist loadfile --no-loadscope-reorder -m "not bench and not pages and not long and not packages"
 
-test-long: $(VENV)/.dev  ## run the searches for causes and plans that take many seconds
+test-long: $(VENV)/.dev  ## run the tests that need many seconds: searches for causes, plans, twins
 	@$(VENV)/bin/python -m pytest -q -rs -n 2 --dist loadfile -m long
 
 check: $(VENV)/.dev  ## style, types, import contracts and plain words

@@ -22,6 +22,20 @@ settings.register_profile(
 settings.load_profile("gyrorig")
 
 
+WAITING = ("system", "systemd")  # folders of tests that mostly wait for processes
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Spread the files that mostly wait between those that compute, so that no core is idle."""
+    files: dict[Path, list[pytest.Item]] = {}
+    for item in items:
+        files.setdefault(item.path, []).append(item)
+    waiting = [path for path in files if path.parent.name in WAITING]
+    computing = [path for path in files if path.parent.name not in WAITING]
+    place = {path: k / len(group) for group in (waiting, computing) for k, path in enumerate(group)}
+    items[:] = [item for path in sorted(files, key=place.__getitem__) for item in files[path]]
+
+
 @pytest.fixture(scope="session")
 def measured_data() -> Path:
     """The folder of real measurements, from $GYRORIG_DATA or beside the checkout."""

@@ -45,6 +45,7 @@ CAUSES = [
 QUICK = ["clock_step", "dead_zone", "warm_up"]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("cause", quick_cases(CAUSES, QUICK))
 def test_a_term_explains_its_effect(cause: str) -> None:
     completeness = _load_completeness()

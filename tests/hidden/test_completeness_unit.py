@@ -50,6 +50,7 @@ CASES = [
 QUICK = [("backlash", "pan", None), ("eccentricity", "tilt", None), ("lost_steps", "tilt", 1.0)]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("cause", "place", "size"), quick_cases(CASES, QUICK))
 def test_a_term_explains_its_effect(cause: str, place: str | None, size: float | None) -> None:
     energies = completeness.measure_energies(cause, size, place)
@@ -57,6 +58,7 @@ def test_a_term_explains_its_effect(cause: str, place: str | None, size: float |
     assert energies.share <= completeness.GOAL
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("cause", "place"),
     quick_cases(

@@ -78,6 +78,7 @@ def judged(judge: Path, *files: Path) -> str:
     return process.stdout if process.returncode else ""
 
 
+@pytest.mark.long
 def test_a_hidden_play_is_named_taken_in_and_kept_by_the_contract(
     tmp_path: Path, contract_judge: Path
 ) -> None:
@@ -113,6 +114,7 @@ def test_a_hidden_play_is_named_taken_in_and_kept_by_the_contract(
     assert judged(contract_judge, file, findings_path, Path(solved["file"])) == ""
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("hide", "cause"),
     [
@@ -154,6 +156,7 @@ def test_what_is_no_recording_is_refused_in_one_line(tmp_path: Path) -> None:
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.long
 def test_the_demo_opens_the_seal_at_the_end(tmp_path: Path) -> None:
     """In real time: a short motion, so that whatever is hidden may as well not show."""
     program = tmp_path / "short.yaml"

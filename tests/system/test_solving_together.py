@@ -8,6 +8,8 @@ from pathlib import Path
 import pytest
 import yaml
 
+pytestmark = pytest.mark.long
+
 ROOT = Path(__file__).resolve().parents[2]
 BIN = Path(sys.executable).parent
 
@@ -61,7 +63,6 @@ def test_one_recording_twice_is_refused(tmp_path: Path, quick: Path) -> None:
     assert not list(tmp_path.rglob("v0001.yaml"))
 
 
-@pytest.mark.long
 def test_boards_on_one_unit_are_solved_together(tmp_path: Path) -> None:
     """One on a serial port, two on CAN; the sixteen of `rig-sixteen` are in the benchmark."""
     rig = yaml.safe_load((ROOT / "config" / "rig-sixteen.yaml").read_text(encoding="utf-8"))

@@ -12,6 +12,8 @@ from gyrorig_protocol.documents import dump_yaml, parse_yaml
 from gyrorig_solver.cli import run
 from gyrorig_solver.commands.project_files import project_file
 
+pytestmark = pytest.mark.long
+
 HIDDEN = "backlash@pan"
 
 
@@ -52,7 +54,6 @@ def checked(session_files: tuple[Path, Path]) -> Any:
     return check(*session_files)
 
 
-@pytest.mark.long
 def test_the_twin_predicts_a_new_recording(checked: Any) -> None:
     """Another program, other noise: the default simulation is wrong, the twin is not."""
     board = checked
@@ -62,7 +63,6 @@ def test_the_twin_predicts_a_new_recording(checked: Any) -> None:
     assert board["recovered_share"] > 0.95
 
 
-@pytest.mark.long
 def test_calibration_and_causes_share_the_gain(
     checked: Any, session_files: tuple[Path, Path]
 ) -> None:
@@ -79,7 +79,6 @@ def test_calibration_and_causes_share_the_gain(
     assert re.search(r"gap\.pan \S+ ± \S+ deg, ", page), "fitted values beside the equation"
 
 
-@pytest.mark.long
 def test_a_missing_cause_is_listed(session_files: tuple[Path, Path], tmp_path: Path) -> None:
     """A twin without the hidden cause differs in what depends on pan; few draws show less."""
     folder, recording = session_files

@@ -19,6 +19,7 @@ def projection(hidden: Callable[..., Any]) -> NuisanceProjector:
     return NuisanceProjector.at_fit(fit_base_model([session.recording], session.board))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("cause", ["clock_step", "clock_sawtooth", "lost_steps"])
 def test_trials_together_have_the_statistics_of_single_ones(
     projection: NuisanceProjector, cause: str

@@ -27,6 +27,7 @@ def stepped(hidden: Callable[..., Any]) -> Any:
     return hidden(f"clock_step:{STEP_S}", seed=33, program="survey-40")
 
 
+@pytest.mark.long
 def test_one_step_replaces_a_skew_and_a_sawtooth(stepped: Any) -> None:
     base = MotionFitSpace(fit_base_model([stepped.recording], stepped.board))
     terms = [find_term(name) for name in CLOCK_FAULTS]

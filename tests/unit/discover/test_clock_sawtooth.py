@@ -31,6 +31,7 @@ def test_a_sawtooth_has_one_name_and_its_values(session: Any) -> None:
     assert period == pytest.approx(parameters["period"]["value"], rel=0.02)
 
 
+@pytest.mark.long
 def test_the_lag_by_time_shows_it(session: Any, hidden: Callable[..., Any]) -> None:
     projector = MotionFitSpace(fit_base_model([session.recording], session.board)).projector()
     assert LagSeries.at(projector).p_value < 1e-6

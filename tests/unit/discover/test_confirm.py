@@ -65,6 +65,7 @@ def test_what_the_fit_can_do_without_is_refused(base: Fit) -> None:
     assert reduced.delta_log_likelihood["backlash"] > 100.0
 
 
+@pytest.mark.long
 def test_what_stays_needs_a_move_on_either_side(base: Fit) -> None:
     """A board that slips before its first move has another gain, and that is all."""
     projection, slip = NuisanceProjector.at_fit(base("")), find_term("board_slip")
@@ -85,6 +86,7 @@ def test_a_gain_that_changes_is_the_gain(base: Fit) -> None:
     assert np.allclose(effect, scene.measure_sensor_rate(scene.rate_rad_s @ change.T), atol=1e-12)
 
 
+@pytest.mark.long
 def test_the_gain_is_looked_for_where_rates_are_cut_off(base: Fit) -> None:
     plain = base("dead_zone:0.009")
     assert refit_gain_exactly(plain) is plain

@@ -65,6 +65,7 @@ def _words(pair: list[Any]) -> list[str]:
     return [str(recording.path) for recording in pair]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("command", ["solve", "explain"])
 def test_two_boards_of_one_name_are_refused(
     pair: list[Any], command: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
@@ -78,6 +79,7 @@ def test_two_boards_of_one_name_are_refused(
     assert not list(tmp_path.rglob("*.yaml"))
 
 
+@pytest.mark.long
 def test_they_are_fitted_together_on_request(
     pair: list[Any], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -89,6 +91,7 @@ def test_they_are_fitted_together_on_request(
     assert any("contradict each other" in text for text in warnings)
 
 
+@pytest.mark.long
 def test_recordings_of_one_board_agree(hidden: Callable[..., Any], pair: list[Any]) -> None:
     """Also where one of them has a cause, and the other another program."""
     first, second = pair[1], hidden("bias_step:0.01", seed=1, program="survey-40").recording

@@ -64,6 +64,7 @@ def test_a_candidate_whose_fit_does_not_converge_is_left_out(
     )
 
 
+@pytest.mark.long
 def test_a_search_stops_at_its_limit_and_says_so(
     base: ConvergedFit, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -81,6 +82,7 @@ def test_a_search_stops_at_its_limit_and_says_so(
     assert "had found are none" in remark
 
 
+@pytest.mark.long
 def test_the_best_visited_model_is_the_answer(base: ConvergedFit, named: ConvergedFit) -> None:
     plain, better = MotionFitSpace(base), MotionFitSpace(named)
     assert best_model(plain, [plain, better]) is better

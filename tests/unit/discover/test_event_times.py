@@ -34,6 +34,7 @@ def weighed(hidden: Callable[..., Any]) -> Callable[[str], FittedCandidate]:
     return fit
 
 
+@pytest.mark.long
 def test_a_loss_in_a_move_is_timed_as_finely_as_its_pulse(
     weighed: Callable[[str], FittedCandidate],
 ) -> None:
@@ -42,6 +43,7 @@ def test_a_loss_in_a_move_is_timed_as_finely_as_its_pulse(
     assert 1e-6 < place.event_std < 0.01
 
 
+@pytest.mark.long
 def test_a_slip_is_timed_no_finer_than_the_noise_lets_it(
     weighed: Callable[[str], FittedCandidate],
 ) -> None:
@@ -59,6 +61,7 @@ def test_a_smaller_step_is_timed_worse(weighed: Callable[[str], FittedCandidate]
     assert large.event_std < small.event_std
 
 
+@pytest.mark.long
 def test_a_time_without_information_is_not_known(hidden: Callable[..., Any]) -> None:
     """A pseudo-inverse sets a tiny information to zero, and its inverse too."""
     session = hidden("clock_step:0.01")

@@ -22,6 +22,7 @@ def late(hidden: Callable[..., HiddenRecording]) -> HiddenRecording:
     return hidden("sample_jitter:1e-3", program="survey-40")
 
 
+@pytest.mark.long
 def test_its_size_is_found(late: HiddenRecording) -> None:
     jitter_result = estimate_jitter(_looked(late), TESTS, ALPHA, 0.8)
     assert jitter_result is not None
@@ -38,6 +39,7 @@ def test_it_is_the_sole_name(late: HiddenRecording) -> None:
     assert explained.fitted_terms == ()  # no fit can follow it
 
 
+@pytest.mark.long
 def test_there_is_none_where_nothing_is_hidden(hidden: Callable[..., HiddenRecording]) -> None:
     jitter_result = estimate_jitter(_looked(hidden(program="survey-40")), TESTS, ALPHA, 0.8)
     assert jitter_result is not None

@@ -30,6 +30,7 @@ def base(request: pytest.FixtureRequest, hidden: Callable[..., Any]) -> MotionFi
     return MotionFitSpace(fit_base_model([session.recording], session.board))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("cause", LAW_CAUSES)
 def test_no_place_has_more_evidence_than_the_bound(base: MotionFitSpace, cause: str) -> None:
     term = find_term(cause)
@@ -43,6 +44,7 @@ def test_no_place_has_more_evidence_than_the_bound(base: MotionFitSpace, cause: 
     assert best.candidate.log_evidence <= bound
 
 
+@pytest.mark.long
 def test_a_law_that_is_not_fitted_is_no_rival(base: MotionFitSpace) -> None:
     result = search_causes(base)
     space = result.space

@@ -31,6 +31,7 @@ def drifting(hidden: Callable[..., Any]) -> NuisanceProjector:
     return NuisanceProjector.at_fit(fit_base_model([session.recording], session.board))
 
 
+@pytest.mark.long
 def test_none_is_looked_for_where_it_would_be_a_drift(drifting: NuisanceProjector) -> None:
     rows = all_templates(drifting, HUM)
     assert rows.size

@@ -73,6 +73,7 @@ def base_sigmas(solution: ConvergedFit, board: dict[str, Any]) -> np.ndarray:
     return np.append(gain, (solution.estimate[12] - offset_s) / std[12])
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("seed", SEEDS)
 def test_a_base_speed_that_was_not_set(
     hidden: Callable[..., Any], without_base_speed: str, seed: int
@@ -106,6 +107,7 @@ def test_the_search_judges_a_law_under_that_law(
     assert likelihoods[0] == pytest.approx(likelihoods[1], abs=2.0)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("seed", SEEDS)
 @pytest.mark.parametrize(("cause", "size"), [("acceleration_error", 0.04), ("s_curve", 0.03)])
 def test_ramps_that_differ_from_the_command(

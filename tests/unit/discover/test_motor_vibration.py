@@ -40,6 +40,7 @@ def explain(session: Any, ratio: float) -> FitExplanation:
     return explain_fit(fit_base(data), session.board)
 
 
+@pytest.mark.long
 def test_vibration_alone_is_no_cause(hidden: Callable[..., Any]) -> None:
     for ratio in (1.0, 2.0):
         findings = explain(hidden(seed=7), ratio).findings

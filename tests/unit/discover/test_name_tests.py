@@ -73,6 +73,7 @@ def _named(base: ConvergedFit, cause: str) -> JudgedModel[MotionFitSpace]:
 ACCELERATION_COVARIATES = catalogue()["acceleration_error"].covariates or ()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("hide", "cause"),
     [
@@ -87,6 +88,7 @@ def test_a_right_name_holds(base: Base, hide: str, cause: str) -> None:
     assert after is named
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("hide", "cause", "covariates"),
     [

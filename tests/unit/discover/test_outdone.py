@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 
+import pytest
 from tests.support.board_fits import fit_base_model
 from tests.unit.discover.conftest import HiddenRecording
 
@@ -40,6 +41,7 @@ def _named(hidden: HiddenRecording, cause: str) -> JudgedModel[MotionFitSpace]:
     )
 
 
+@pytest.mark.long
 def test_a_slip_is_not_said_for_what_hangs_on_the_rates(
     hidden: Callable[..., HiddenRecording],
 ) -> None:
@@ -51,6 +53,7 @@ def test_a_slip_is_not_said_for_what_hangs_on_the_rates(
     assert dominated_by_nonparametric(named, [OF_RATES]) == [True]
 
 
+@pytest.mark.long
 def test_a_right_name_beside_what_hangs_on_the_rates_is_said(
     hidden: Callable[..., HiddenRecording],
 ) -> None:

@@ -128,6 +128,7 @@ def test_signals_that_are_whitened_together_have_single_precision(
     )
 
 
+@pytest.mark.long
 def test_biases_of_each_axis_are_whitened_as_dense_signals(projection: NuisanceProjector) -> None:
     blocks = projection.states[0].block_count
     biases = AxisBiases(np.random.default_rng(8).standard_normal((10, blocks)))

@@ -19,6 +19,7 @@ from gyrorig_solver.model.causes.base_speed_jump import BaseSpeedJump
 TESTS = 45
 
 
+@pytest.mark.long
 def test_ramps_that_are_not_as_told_have_a_name(hidden: Callable[..., Any]) -> None:
     session = hidden("acceleration_error@tilt:-0.01", seed=7)
     ramps = detect_ramp_error(
@@ -65,6 +66,7 @@ def test_ramps_of_the_base_model_are_no_candidate(
     assert all(score.p_value > FALSE_ALARM_RATE for score in scores)
 
 
+@pytest.mark.long
 def test_a_base_speed_of_the_grid_is_stated_without_uncertainty(
     hidden: Callable[..., Any],
 ) -> None:

@@ -21,6 +21,8 @@ from gyrorig_solver.estimate.motion_fit import summarize_motion_fit
 from gyrorig_solver.pipeline.board_data import load_board
 from gyrorig_solver.pipeline.prepare_board import fit_base, prepare_held_out
 
+pytestmark = pytest.mark.long
+
 OFFSET = CALIBRATION_PARAMETERS.index("time_offset")
 
 
@@ -106,7 +108,6 @@ def test_a_rest_does_not_hide_a_cause_that_needs_moves(hidden: Callable[..., Any
         assert [value.value for value in after.values] == pytest.approx(values, rel=1e-6)
 
 
-@pytest.mark.long
 def test_two_boards_at_rest_are_solved_together(hidden: Callable[..., Any], tmp_path: Path) -> None:
     """Before, a recording that shows no move ended with a fault in the program."""
     text = CONFIG.read_text(encoding="utf-8")
@@ -136,7 +137,6 @@ def test_the_noise_in_motion_is_that_of_the_survey(hidden: Callable[..., Any]) -
         assert any("noise in motion is" in warning for warning in fit.warnings)
 
 
-@pytest.mark.long
 def test_a_held_out_recording_shows_what_any_of_its_parts_shows(hidden: Callable[..., Any]) -> None:
     """Before, the first part decided, and it can be a rest."""
     survey = hidden("g_sensitivity", program="survey-40")

@@ -20,6 +20,7 @@ from gyrorig_solver.pipeline.recording_contexts import read_contexts
 from gyrorig_solver.reference import ReferenceMotion, RestReference, TimeInterval
 
 
+@pytest.mark.long
 def test_the_effects_of_the_law_are_those_of_the_survey(hidden: Callable[..., Any]) -> None:
     """Before, a rest that was the first recording gave the base speed zero."""
     resting = hidden(program="static", seed=22)

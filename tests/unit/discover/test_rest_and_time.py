@@ -107,6 +107,7 @@ def test_a_rest_does_not_change_the_jitter(
     assert together.is_distinct
 
 
+@pytest.mark.long
 def test_a_rest_does_not_change_the_windows_of_the_lag(
     pair: tuple[Any, Any], hidden: Callable[..., Any]
 ) -> None:

@@ -49,6 +49,7 @@ def check_only_the_low_pass(session: Any, true_period_s: float) -> None:
     assert findings.unexplained is None
 
 
+@pytest.mark.long
 def test_only_the_low_pass_is_named(hidden: Callable[..., Any]) -> None:
     check_only_the_low_pass(hidden(seed=11), 1.0 / 25.0)
 

@@ -10,7 +10,6 @@ import pytest
 from tests.support.board_fits import explain_recordings, fit_base_model
 
 from gyrorig_solver.discover.checks.random_walk import (
-    _combine_levels,
     detect_random_walk,
     has_jumps,
 )
@@ -24,9 +23,11 @@ from gyrorig_solver.discover.checks.walk_profile import (
     MAX_LOG_LEVEL_SHIFT,
     TYPICAL_POWER_FACTOR,
     WalkProfile,
+    add_profiles,
+    profile_common_walks,
     profile_walks,
 )
-from gyrorig_solver.estimate import nominal_levels
+from gyrorig_solver.estimate import ConvergedFit, nominal_levels
 from gyrorig_solver.numerics import chi2_quantile, chi2_upper_tail
 
 
@@ -51,6 +52,7 @@ def test_over_longer_it_is_named(hidden: Callable[..., Any]) -> None:
     assert all(0.0 < value.std < value.value for value in cause.values[:2])  # hardly any on z
 
 
+@pytest.mark.long
 def test_any_axis_might_have_been_the_one(hidden: Callable[..., Any]) -> None:
     """The walks of three axes are looked at: three chances to be odd."""
     session = hidden("bias_random_walk:0.0003", program="survey-130")
@@ -68,21 +70,46 @@ def test_flicker_of_other_parts_is_no_random_walk(
     hidden: Callable[..., Any], flicker: float
 ) -> None:
     """Spectra of noise alone, 600 axes; the limit is that of a p-value of 0.2 %."""
+    noises = noise_of_flicker(hidden, flicker, recordings=200)
+    gains_nats = [profile.gain_nats for profile in profile_walks(noises)]
+    limit_nats = 0.5 * chi2_quantile(0.004, 1)  # half of the gains are zero
+    assert np.mean(np.array(gains_nats) > limit_nats) < 0.01
+
+
+@pytest.mark.long
+def test_many_recordings_are_no_more_degrees_of_freedom(hidden: Callable[..., Any]) -> None:
+    """Before, the best gain of each recording was added, which one degree of freedom tested."""
+    gains_nats = []
+    for seed in range(20):
+        noises = noise_of_flicker(hidden, 1.0, recordings=20, seed=seed)
+        gains_nats += [profile.gain_nats for profile in profile_common_walks(noises)]
+    assert np.mean(np.array(gains_nats) > 0.5 * chi2_quantile(0.05, 1)) < 0.05
+
+
+def noise_of_flicker(
+    hidden: Callable[..., Any], flicker: float, recordings: int, seed: int = 5
+) -> ConvergedFit:
+    """Return what a fit states of the noise of recordings without a random walk."""
     session = hidden(program="survey-130")
     solution = fit_base_model([session.recording], session.board)
     (noise,), (spectrum,) = solution.noises, solution.spectra
     levels = np.stack([nominal_levels(float(axis[0])) for axis in noise.levels])
     levels[:, 1] *= flicker**2
     density = replace(noise, levels=levels).density_of_bins(spectrum)
-    rng = np.random.default_rng(5)
-    gains_nats = []
-    for _ in range(200):
-        drawn = rng.chisquare(spectrum.count[:, None], density.shape) / spectrum.count[:, None]
-        simulated = replace(spectrum, density=density * drawn)
-        fitted = SimpleNamespace(spectra=[simulated], noises=[replace(noise, levels=levels)])
-        gains_nats += [profile.gain_nats for profile in profile_walks(cast("Any", fitted))]
-    limit_nats = 0.5 * chi2_quantile(0.004, 1)  # half of the gains are zero
-    assert np.mean(np.array(gains_nats) > limit_nats) < 0.01
+    rng = np.random.default_rng(seed)
+    spectra = [
+        replace(
+            spectrum,
+            density=density
+            * rng.chisquare(spectrum.count[:, None], density.shape)
+            / spectrum.count[:, None],
+        )
+        for _ in range(recordings)
+    ]
+    fitted = SimpleNamespace(
+        spectra=spectra, noises=[replace(noise, levels=levels) for _ in spectra]
+    )
+    return cast("ConvergedFit", fitted)
 
 
 def test_leaps_are_no_random_walk() -> None:
@@ -138,9 +165,8 @@ def walk_profile(log_typical: float, log_limit: float, is_measured: bool) -> Wal
 
 
 def test_the_walk_of_one_recording_is_that_of_its_profile() -> None:
-    profiles = [walk_profile(LOG_TYPICAL, 2.0 * np.log(WALK), True) for _ in range(3)]
-    level, std = _combine_levels(profiles)
-    assert (level[0], std[0]) == profiles[0].posterior_level()
+    profile = walk_profile(LOG_TYPICAL, 2.0 * np.log(WALK), True)
+    assert add_profiles([profile]).posterior_level() == profile.posterior_level()
 
 
 def test_recordings_that_show_no_walk_do_not_lower_it() -> None:
@@ -151,14 +177,13 @@ def test_recordings_that_show_no_walk_do_not_lower_it() -> None:
         for shift in (-0.3, -0.1, 0.1, 0.3, 0.0)
     ]
     expected, expected_std = measured.posterior_level()
-    profiles = [profile for each in (*limited, measured) for profile in [each] * 3]
-    level, std = _combine_levels(profiles)
-    assert level == pytest.approx(np.full(3, expected), abs=0.5 * expected_std)
-    assert std == pytest.approx(np.full(3, expected_std), rel=0.2)
+    level, std = add_profiles([*limited, measured]).posterior_level()
+    assert level == pytest.approx(expected, abs=0.5 * expected_std)
+    assert std == pytest.approx(expected_std, rel=0.2)
 
 
 def test_equal_recordings_measure_the_walk_more_accurately() -> None:
     measured = walk_profile(LOG_TYPICAL, 2.0 * np.log(WALK), True)
-    level, std = _combine_levels([measured] * 12)
-    assert level == pytest.approx(np.full(3, WALK), rel=0.05)
-    assert std == pytest.approx(np.full(3, 0.5 * measured.posterior_level()[1]), rel=0.1)
+    level, std = add_profiles([measured] * 4).posterior_level()
+    assert level == pytest.approx(WALK, rel=0.05)
+    assert std == pytest.approx(0.5 * measured.posterior_level()[1], rel=0.1)

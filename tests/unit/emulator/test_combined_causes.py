@@ -14,6 +14,7 @@ JUMP = InjectionRequest("base_speed_jump", "", 0.07)
 MOST_TOGETHER = 0.05  # of the compliance's largest effect
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("cause", "size"),
     [

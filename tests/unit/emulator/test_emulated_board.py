@@ -79,6 +79,7 @@ def test_counts_mean_gain_times_rate_plus_bias() -> None:
     assert mean == pytest.approx(expected + bias, abs=6e-4)
 
 
+@pytest.mark.long
 def test_noise_at_rest_has_the_density_through_the_low_pass() -> None:
     rig, emulated = board()
     truth = rig.truth.boards["B"].imu

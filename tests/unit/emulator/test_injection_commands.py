@@ -81,6 +81,7 @@ def test_the_truth_states_the_cause_with_its_parameters(
     assert 0.35 <= middle <= 0.65
 
 
+@pytest.mark.long
 def test_a_recording_does_not_say_what_it_hides(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

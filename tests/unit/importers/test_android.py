@@ -184,6 +184,7 @@ def on_a_unit(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path, dic
     return recording, log, yaml.safe_load((folder / "truth.yaml").read_text())
 
 
+@pytest.mark.long
 def test_a_phone_on_a_unit_becomes_an_additional_board(
     on_a_unit: tuple[Path, Path, dict[str, Any]], tmp_path: Path
 ) -> None:

@@ -244,6 +244,7 @@ def test_logs_without_a_gyroscope_are_refused(tmp_path: Path, session: HandheldS
         import_files([tmp_path / "a.bin"], tmp_path / "o.mcap")
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("write", [write_dataflash, write_sensor_logger, write_ximu3])
 def test_one_command_imports_and_one_solves(
     tmp_path: Path, session: HandheldSession, write: Writer

@@ -136,6 +136,7 @@ def test_confusable_causes_are_those_that_were_confused(
     assert len(paper.confusable_pairs) > len(full.confusable_pairs)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("cause", "place", "size"),
     [("axis_nonorthogonality", None, 2e-3), ("step_resolution", "tilt", 1e-3)],

@@ -136,6 +136,7 @@ def test_no_program_of_the_family_turns_in_the_mean(
         assert np.abs(area).max() < 0.01, seed
 
 
+@pytest.mark.long
 def test_command_predicts_and_says_what_is_hidden(capsys: Captured) -> None:
     assert cli.run(["plan", "--rig", RIG, "--program", PAPER, "--details"]) == 4
     output = capsys.readouterr().out
@@ -214,6 +215,7 @@ def test_a_place_that_cannot_be_written_is_refused_before_the_search(
     assert f"the folder {out.parent} does not exist. Create it" in capsys.readouterr().err
 
 
+@pytest.mark.long
 def test_never_overwrites(planned: Path, capsys: Captured) -> None:
     before = planned.read_bytes()
     assert cli.run(["plan", "--rig", RIG, "--seconds", "35", "--output", str(planned)]) == 2

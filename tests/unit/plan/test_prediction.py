@@ -30,6 +30,7 @@ def with_noise(sensor: SensorModel, noise: NoiseLevels) -> SensorModel:
     return replace(sensor, levels=np.column_stack(levels) ** 2)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("name", "seed"),
     quick_cases([("quick", 1), ("full", 2), ("paper", 3)], [("quick", 1), ("paper", 3)]),

@@ -76,6 +76,7 @@ def test_surveys_know_more_by_name_than_programs_by_hand(
     assert largest[0] < largest[1]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", sorted(path.stem for path in PROGRAMS.glob("*.yaml")))
 def test_a_prediction_fits_on_a_terminal(name: str, capsys: pytest.CaptureFixture[str]) -> None:
     rig, program = ROOT / "config" / "rig.yaml", PROGRAMS / f"{name}.yaml"

@@ -78,6 +78,7 @@ def test_a_known_unit_adds_less(rig: RigModel, sensor: SensorModel, shipped: Shi
     assert known.std["misalignment.y"] < unknown.std["misalignment.y"]
 
 
+@pytest.mark.long
 def test_a_solve_states_the_predicted_total(
     rig: RigModel, sensor: SensorModel, shipped: Shipped, record: Record
 ) -> None:

@@ -49,6 +49,7 @@ def rest_of(samples_of: Maker, seed: int) -> tuple[GyroSamples, AttitudeReferenc
     return samples_of(time_s, rate), read_attitude(at_s, q, np.full(at_s.size, np.nan))
 
 
+@pytest.mark.long
 def test_a_board_at_rest_shows_no_time_offset_and_no_drift(samples_of: Maker) -> None:
     """Before, the slope of the gyro's noise counted as motion: -285.0 +- 23.7 ms."""
     for seed in range(8):
@@ -57,6 +58,7 @@ def test_a_board_at_rest_shows_no_time_offset_and_no_drift(samples_of: Maker) ->
         assert not fit.warnings
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("is_rest_last", [False, True])
 def test_a_rest_does_not_hide_the_time_offset(
     record: Callable[..., tuple[GyroSamples, AttitudeReference]],

@@ -82,6 +82,7 @@ def test_hidden_missing_frames_are_refused() -> None:
         solved(StampSettings(5e-3, drop_share=0.02))
 
 
+@pytest.mark.long
 def test_what_was_corrected_is_said() -> None:
     skewed = " ".join(solved(StampSettings(1e-3, "arrival", skew_ppm=100.0)).warnings)
     assert "100 ppm fast" in skewed

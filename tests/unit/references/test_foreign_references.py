@@ -64,6 +64,7 @@ def largest_total_sigma(calibration: CalibrationDocument, gyro: SimulatedGyro) -
     return float(np.max(errors))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("name", "seed"),
     [

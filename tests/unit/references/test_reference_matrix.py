@@ -163,6 +163,7 @@ def board_words(cells: Cells, kind: str) -> list[str]:
 AUTO_CODES = {"unit": 0, "attitudes": 0, "turns": 4, "gravity": 4, "rest": 4, "rate table": 4}
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("kind", KINDS)
 def test_solve_with_a_search(cells: Cells, kind: str) -> None:
     cell = solve_auto(cells, kind)

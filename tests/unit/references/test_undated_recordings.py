@@ -40,6 +40,7 @@ def recordings_of(kind: str, folder: Path) -> list[Recording]:
     return [read_recording(path) for path in paths]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("kind", ["attitudes", "turns", "rest"])
 def test_the_order_is_that_in_which_they_were_given(kind: str, tmp_path: Path) -> None:
     recordings = recordings_of(kind, tmp_path)

@@ -141,6 +141,7 @@ def test_weighing_by_density_comes_near(monkeypatch: pytest.MonkeyPatch) -> None
     assert np.allclose(near, exact, rtol=0.02)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("known", [True, False])
 def test_the_best_estimate_errs_by_the_bound(known: bool) -> None:
     """Joint chi-squared of 13 over 24 runs of drawn noise: inside its 99.8 % span."""

@@ -67,6 +67,7 @@ def test_the_gain_is_as_uncertain_as_stated(simulate: Callable[..., Any]) -> Non
     assert stats.chi2.sf(error @ np.linalg.solve(covariance, error), 9) > LOWEST_P
 
 
+@pytest.mark.long
 def test_a_recording_of_a_fifo_is_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Before, the solver refused it, because the timestamps did not give a sample rate."""
     run(

@@ -141,6 +141,7 @@ def test_every_kind_of_order_is_followed(seed: int, baud: int, counter: bool) ->
     assert reference.move_fit.rest_variance < 0.05 / 12.0
 
 
+@pytest.mark.long
 def test_a_board_is_calibrated_through_it_all() -> None:
     """Errors of five boards in what the fit claims; chi-squared's 99.9 % point of 60: 99.6."""
     total = 0.0

@@ -102,6 +102,7 @@ def explanations(recording: Recording) -> tuple[FitExplanation, FitExplanation]:
         return exact, explain_recordings([recording], BOARD)
 
 
+@pytest.mark.long
 def test_means_give_the_values_of_the_samples(
     explanations: tuple[FitExplanation, FitExplanation],
 ) -> None:

@@ -96,6 +96,7 @@ def test_a_drift_without_a_thermometer_is_in_the_uncertainty(
     assert std_dps[0] > 0.1
 
 
+@pytest.mark.long
 def test_a_steady_bias_has_no_curve(
     import_soak: ImportSoak, tmp_path: Path, capsys: Captured
 ) -> None:
@@ -106,6 +107,7 @@ def test_a_steady_bias_has_no_curve(
     assert not any("temperature" in reason for reason in document.trust.reasons)
 
 
+@pytest.mark.long
 def test_recordings_at_several_temperatures_give_one_curve(
     import_soak: ImportSoak, tmp_path: Path, capsys: Captured
 ) -> None:
@@ -141,6 +143,7 @@ def test_a_hysteresis_is_stated_and_not_left_in_the_residual(
     assert "temperature, °C" in page
 
 
+@pytest.mark.long
 def test_a_curve_is_exported_without_a_gain(
     import_soak: ImportSoak, tmp_path: Path, capsys: Captured
 ) -> None:

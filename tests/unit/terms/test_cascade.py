@@ -341,6 +341,7 @@ def test_an_angle_error_is_no_gap() -> None:
     assert jumps.time_s == pytest.approx(find_speed_jumps(state, 0).time_s, abs=5e-5)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("gap_rad", GAPS)
 def test_a_coarse_grid_shows_the_twist_of_the_base_behind_a_gap(gap_rad: float) -> None:
     terms = [moving_behind_gap(gap_rad), extension("base_compliance", [5e-5, 0.0])]

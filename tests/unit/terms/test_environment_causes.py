@@ -109,6 +109,7 @@ def test_stuck_thermometer_makes_thermal_causes_untestable(rig: Any) -> None:
         )  # that one's temperature does change
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("latitude", "heading"), [(52.0, 30.0), (-34.0, 250.0)])
 def test_earth_rotation_at_a_site(rig: Any, latitude: float, heading: float) -> None:
     """The rig carried round by the Earth: attitudes in space, differentiated."""

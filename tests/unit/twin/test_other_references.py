@@ -34,6 +34,7 @@ def _twin(recording: Path, folder: Path, status: int = 0) -> tuple[Twin, str]:
     return parse_twin(content, "twin.yaml"), process.stdout
 
 
+@pytest.mark.long
 def test_attitudes_determine_the_whole_board(tmp_path: Path) -> None:
     gyro = SimulatedGyro()
     twin, text = _twin(record_attitudes(tmp_path / "r.mcap", gyro), tmp_path / "t")
@@ -47,6 +48,7 @@ def test_attitudes_determine_the_whole_board(tmp_path: Path) -> None:
     assert board.unexplained == ()
 
 
+@pytest.mark.long
 def test_a_check_without_a_unit_is_refused(tmp_path: Path) -> None:
     recording = record_attitudes(tmp_path / "r.mcap", SimulatedGyro())
     _twin(recording, tmp_path / "t")
@@ -58,6 +60,7 @@ def test_a_check_without_a_unit_is_refused(tmp_path: Path) -> None:
     )
 
 
+@pytest.mark.long
 def test_the_line_of_the_twin_is_fast_enough_for_the_emulated_rate(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

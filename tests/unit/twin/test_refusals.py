@@ -46,6 +46,7 @@ def test_a_missing_file_is_refused(tmp_path: Path) -> None:
     assert "none.mcap" in _refused(3, tmp_path / "none.mcap", "--out", tmp_path / "t")
 
 
+@pytest.mark.long
 def test_a_damaged_recording_is_refused(quick: Path, tmp_path: Path) -> None:
     damaged = tmp_path / "damaged.mcap"
     damaged.write_bytes(quick.read_bytes()[:600])
@@ -68,6 +69,7 @@ def test_a_folder_that_cannot_be_written_is_refused(quick: Path, tmp_path: Path)
     assert "--out" in _refused(1, quick, "--out", tmp_path / "file" / "t")
 
 
+@pytest.mark.long
 def test_an_earlier_twin_is_kept(quick: Path, tmp_path: Path) -> None:
     first = run_gyrorig("twin", quick, "--out", tmp_path)
     before = (tmp_path / "twin.yaml").read_bytes()
@@ -77,6 +79,7 @@ def test_an_earlier_twin_is_kept(quick: Path, tmp_path: Path) -> None:
     assert (tmp_path / "twin.yaml").exists()
 
 
+@pytest.mark.long
 def test_recordings_of_two_units_are_refused(quick: Path, tmp_path: Path) -> None:
     rig = tmp_path / "rig.yaml"
     rig.write_text(OTHER_UNIT, encoding="utf-8")
@@ -85,6 +88,7 @@ def test_recordings_of_two_units_are_refused(quick: Path, tmp_path: Path) -> Non
     assert "one rig" in message
 
 
+@pytest.mark.long
 def test_recordings_of_two_rigs_are_refused(quick: Path, tmp_path: Path) -> None:
     rig = tmp_path / "rig.yaml"
     text = (ROOT / "config" / "rig.yaml").read_text(encoding="utf-8")
@@ -103,6 +107,7 @@ def test_recordings_with_and_without_a_unit_are_refused(quick: Path) -> None:
         check_one_rig([with_unit, without])
 
 
+@pytest.mark.long
 def test_a_truncated_recording_gets_a_remark(quick: Path, tmp_path: Path) -> None:
     cut = tmp_path / "cut.mcap"
     whole = quick.read_bytes()

@@ -12,6 +12,8 @@ from tests.unit.twin.conftest import COMMAND_TIME_S, RecordedTwin
 from gyrorig_daemon.config import parse_rig
 from gyrorig_protocol.twin import find_quantity
 
+pytestmark = pytest.mark.long
+
 FARTHEST_SIGMA = 4.0
 TWO_BOARDS = """
 schema: gyrorig/rig/1
@@ -86,7 +88,6 @@ def _two_boards(make: Callable[..., RecordedTwin]) -> RecordedTwin:
     return make("--seed", "4", "--hide", "eccentricity@pan:0.004", rig=TWO_BOARDS)
 
 
-@pytest.mark.long
 def test_boards_on_one_unit_make_one_twin(recorded_twin: Callable[..., RecordedTwin]) -> None:
     made = _two_boards(recorded_twin)
     twin = made.twin

@@ -194,6 +194,7 @@ def test_a_board_at_rest_has_a_budget_of_its_bias(resting: Session) -> None:
     assert np.all(std[bias] > 1e-4)  # g-sensitivity and warm-up, rad/s
 
 
+@pytest.mark.long
 def test_a_recording_at_rest_takes_no_templates_from_the_others(
     resting: Session, leaning: Session
 ) -> None:

@@ -17,6 +17,8 @@ from gyrorig_solver.pipeline import UnitKnowledge
 from gyrorig_solver.pipeline.unit_prior import unit_identity
 from gyrorig_solver.uncertainty import default_settings
 
+pytestmark = pytest.mark.long
+
 ROOT = Path(__file__).resolve().parents[3]
 BOARDS = 3
 Captured = pytest.CaptureFixture[str]
@@ -73,7 +75,6 @@ def total_of(calibration: Any, parameter: str) -> float:
     return float(calibration["uncertainty"]["parameters"][parameter]["total"])
 
 
-@pytest.mark.long
 def test_the_total_uncertainty_shrinks_and_the_truth_stays_inside(rig: Rig) -> None:
     totals = []
     for number in range(BOARDS):
