@@ -29,9 +29,7 @@ from gyrorig_solver.discover.checks.typical_noise import (
 )
 from gyrorig_solver.discover.checks.walk_profile import (
     MAX_LOG_LEVEL_SHIFT,
-    WalkProfile,
-    add_profiles,
-    profile_walks,
+    profile_common_walks,
 )
 from gyrorig_solver.discover.fit_space import NoiseAlternative
 from gyrorig_solver.discover.motion_space import MotionFitSpace
@@ -94,8 +92,8 @@ def detect_random_walk(
     """
     if has_typical_noise(solution):
         return None
-    walk = profile_walks(solution)
-    axis_gains = np.array([profile.gain_nats for profile in walk]).reshape(-1, 3).sum(axis=0)
+    walk = profile_common_walks(solution)
+    axis_gains = np.array([profile.gain_nats for profile in walk])
     gain = float(axis_gains.sum())
     if _residual_has_jumps(solution, axis_gains > ACTING_NATS):
         return None
@@ -114,9 +112,11 @@ def detect_random_walk(
         )
     ]
     acting = np.flatnonzero((axis_gains > ACTING_NATS) | (axis_gains == axis_gains.max()))
+    levels, levels_std = np.array([profile.posterior_level() for profile in walk]).T
     return name_outside_fit(
         BiasRandomWalk(),
-        *_combine_levels(walk),
+        levels,
+        levels_std,
         tuple(XYZ[k] for k in acting),
         statistic=2.0 * gain,
         degrees_of_freedom=int(np.sum(axis_gains > 0.0)),
@@ -157,12 +157,6 @@ def _residual_has_jumps(solution: ConvergedFit, axes: BoolArray) -> bool:
         for session in solution.sessions
         for residual, used in zip(session.residuals(solution.gain), session.used, strict=True)
     )
-
-
-def _combine_levels(profiles: Sequence[WalkProfile]) -> tuple[FloatArray, FloatArray]:
-    """Return the walk of each axis and its uncertainty from all recordings, (3,) each."""
-    levels = np.array([add_profiles(profiles[axis::3]).posterior_level() for axis in range(3)])
-    return levels[:, 0], levels[:, 1]
 
 
 def _describe_rival(alternative: NoiseAlternative, share: float, posterior: float) -> RivalCause:

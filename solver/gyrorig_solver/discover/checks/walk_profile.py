@@ -3,8 +3,9 @@
 The flicker of parts differs by more than a factor of ten. Therefore a random walk is unusual only
 if no level of the flicker explains the low frequencies as well.
 
-What to use when: `profile_walks` for a fit, one profile per recording and axis; `add_profiles` for
-the walk of one axis from several recordings; `fit_usual_noises` for the levels of a usual part.
+What to use when: `profile_walks` for a fit, one profile per recording and axis;
+`profile_common_walks` for one walk in all recordings; `fit_usual_noises` for the levels of a usual
+part.
 """
 
 from collections.abc import Sequence
@@ -64,6 +65,15 @@ def profile_walks(solution: ConvergedFit) -> list[WalkProfile]:
         for spectrum, noise in zip(solution.spectra, solution.noises, strict=True)
         for axis in range(3)
     ]
+
+
+def profile_common_walks(solution: ConvergedFit) -> list[WalkProfile]:
+    """Return the profile of each axis of one walk that acts in all recordings.
+
+    An axis has one level, and so one degree of freedom, however many recordings there are.
+    """
+    profiles = profile_walks(solution)
+    return [add_profiles(profiles[axis::3]) for axis in range(3)]
 
 
 def add_profiles(profiles: Sequence[WalkProfile]) -> WalkProfile:
