@@ -6,6 +6,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
 import yaml
 from tests.docs.blocks import Block, blocks
 
@@ -43,6 +44,7 @@ def follow_page(folder: Path) -> str:
     return printed
 
 
+@pytest.mark.long
 def test_the_example_of_the_page_is_recorded_and_solved(tmp_path: Path) -> None:
     printed = follow_page(tmp_path)
     (path,) = (tmp_path / "recordings").glob("*mini.mcap")

@@ -39,6 +39,7 @@ def run(folder: Path, *words: str) -> str:
     return completed.stdout
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("driver", PAGES)
 def test_the_unit_of_the_page_records_and_solves(tmp_path: Path, driver: str) -> None:
     names = written_files(tmp_path, PAGES[driver])

@@ -20,9 +20,10 @@ PACKAGES = Path(pytest.__file__).resolve().parents[1]
 SYSTEM_PYTHON = Path("/usr/bin/python3")
 TIMEOUT_S = 220
 
-pytestmark = pytest.mark.timeout(
-    TIMEOUT_S + 20
-)  # for the container; the tests themselves only look
+pytestmark = [
+    pytest.mark.long,
+    pytest.mark.timeout(TIMEOUT_S + 20),
+]  # for the container; the tests themselves only look
 
 OVERLAY = """
 set -e

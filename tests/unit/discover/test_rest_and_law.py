@@ -34,6 +34,7 @@ def test_the_effects_of_the_law_are_those_of_the_survey(hidden: Callable[..., An
     assert together == pytest.approx(alone, rel=0.02)
 
 
+@pytest.mark.long
 def test_a_rest_without_a_unit_does_not_hide_the_replies(
     pair: tuple[Any, Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -83,6 +83,7 @@ def test_a_rig_without_causes_has_the_same_rates() -> None:
     assert np.abs(rates - twin_rates).max() < 1e-7
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("tilt_sign", [1, -1])
 @pytest.mark.parametrize("case", CASES)
 def test_a_twin_has_the_noise_free_rates_of_the_truth(case: str, tilt_sign: int) -> None:

@@ -42,6 +42,7 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path
 
 
+@pytest.mark.long
 def test_hostile_recordings_are_rejected_and_the_good_one_is_solved(
     folder: Path, recorded: list[Path]
 ) -> None:

@@ -45,6 +45,7 @@ def take_all_for_dead(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(coordination, "HEARTBEAT_TIMEOUT_S", -1.0)
 
 
+@pytest.mark.long
 def test_a_batch_from_a_bucket_into_a_bucket(bucket: Bucket, recorded: list[Path]) -> None:
     spool, store = (
         Bucket("memory", f"{bucket.prefix}/spool"),

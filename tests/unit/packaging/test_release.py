@@ -76,6 +76,7 @@ def test_an_isolated_build_takes_exact_versions_only() -> None:
                 waiting.append(needed.name)
 
 
+@pytest.mark.long
 def test_a_package_with_another_digest_is_refused(tmp_path: Path) -> None:
     wheels = tmp_path / "wheels"
     wheels.mkdir()

@@ -195,6 +195,7 @@ def test_live_alone_makes_a_live_view(installed: Path) -> None:
     assert "pip install 'gyrorig[live]'" in without.stderr
 
 
+@pytest.mark.long
 def test_fleet_alone_takes_recordings_through_a_batch(installed: Path, tmp_path: Path) -> None:
     """`fleet` brings `solver`: what a batch does is solving."""
     code = "import duckdb, s3fs, cryptography, distributed; print(duckdb.sql('SELECT 42'))"

@@ -99,6 +99,7 @@ def test_same_seed_same_program_and_criteria_differ(rig: RigModel, sensor: Senso
     assert cost(program.prediction.decision, "mean-factor") == pytest.approx(np.mean(factors))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("once", [False, True])
 @pytest.mark.parametrize("seed", range(8))
 def test_every_design_stays_inside_and_in_time(seed: int, once: bool, rig: RigModel) -> None:

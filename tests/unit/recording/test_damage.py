@@ -68,6 +68,7 @@ def record_ends(whole: bytes) -> tuple[list[int], int]:
     return ends, data_end
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("block", range(8))
 def test_cut_at_every_byte(tmp_path: Path, scripted: Any, block: int) -> None:
     script = scripted(4, flush_every=5)
@@ -119,6 +120,7 @@ def flip(whole: bytes, bit: int) -> bytes:
     return bytes(damaged)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("block", range(8))
 def test_single_bit_flips(tmp_path: Path, scripted: Any, block: int) -> None:
     script = scripted(3, flush_every=5)

@@ -27,6 +27,7 @@ def solved(settings: StampSettings) -> GyroFit:
     return fit_attitude([(plain_samples(session.gyro_time_s, session.gyro_rad_s), reference)])
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "settings",
     [
@@ -46,6 +47,7 @@ def test_jitter_of_stamps_biases_nothing(settings: StampSettings) -> None:
     assert np.abs(errors).max() < 4.5
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "settings",
     [

@@ -177,6 +177,7 @@ def solve_auto(cells: Cells, kind: str) -> Cell:
     return cells.run(kind, "auto", *words)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("kind", KINDS)
 def test_solve_with_a_requested_cause(cells: Cells, kind: str) -> None:
     words = ["solve", "{1}", *board_words(cells, kind), "--extend", "scale_cubic", "--json"]
@@ -190,6 +191,7 @@ def test_solve_with_a_requested_cause(cells: Cells, kind: str) -> None:
     check_numbers(cells, kind, cell)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("held_out", [False, True])
 @pytest.mark.parametrize("kind", KINDS)
 def test_explain(cells: Cells, kind: str, held_out: bool) -> None:
@@ -201,6 +203,7 @@ def test_explain(cells: Cells, kind: str, held_out: bool) -> None:
         assert named or "tested no cause on" in cell.printed or kind in ("unit", "rest")
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("kind", [*KINDS[1:], pytest.param("unit", marks=pytest.mark.long)])
 def test_solve_of_two_recordings(cells: Cells, kind: str) -> None:
     words = ["solve", "{1}", "{2}", *board_words(cells, kind), "--json", "--out", "{out}"]
@@ -214,6 +217,7 @@ def test_solve_of_two_recordings(cells: Cells, kind: str) -> None:
     check_numbers(cells, kind, cell)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("kind", KINDS)
 def test_report(cells: Cells, kind: str) -> None:
     """The page of a solve, and the page that is drawn again from calibration and recording."""

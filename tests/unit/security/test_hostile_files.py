@@ -172,6 +172,7 @@ def test_a_fit_may_use_more_memory_than_the_reading_of_its_file() -> None:
         assert bytearray(700_000_000)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("program", ["quick", "survey-130"])
 def test_an_honest_recording_is_solved_far_within_the_limit(
     program: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
