@@ -1,7 +1,8 @@
 """The host's end of the line of a unit that answers each command with one reply.
 
-After a missing reply the line is out of step: a late reply could be taken for the next one. Then
-the identity is asked for before the next command, and everything before its reply is discarded.
+After a missing reply, or one that does not fit, the line is out of step: a late reply could be
+taken for the next one. Then the identity is asked for before the next command, and everything
+before its reply is discarded.
 """
 
 import contextlib
@@ -86,6 +87,10 @@ class TextLine:
                 return resync
         awaited = self._is_identity if is_identity and self._is_out_of_step else None
         return self._send(text, orders, is_poll, timeout_s or self._timeout_s, awaited)
+
+    def reject_reply(self) -> None:
+        """Treat the last reply as that to another command: the right one may follow."""
+        self._is_out_of_step = True
 
     def halt_in_flight(self) -> None:
         """Write the halt command at once if another command waits for its reply."""

@@ -167,6 +167,8 @@ class TextUnit:
         is_still: bool | None = None
         if exchange.reply is not None and exchange.command.text == text:
             steps, is_still = self._language.read_positions(exchange.reply.text, axis)
+            if not steps:
+                self._line.reject_reply()
         earliest_ns = exchange.request_ns + self._line.wire_ns(len(exchange.command.encode()))
         latest_ns = exchange.first_byte_ns - self._line.wire_ns(1)
         if latest_ns < earliest_ns:  # USB can be faster than the nominal baud rate

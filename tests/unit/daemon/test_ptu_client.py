@@ -297,6 +297,29 @@ def test_a_late_reply_is_not_matched_with_the_next_command() -> None:
     assert client.counts.stale == 1
 
 
+def test_a_superfluous_refusal_does_not_shift_the_replies() -> None:
+    """Before, each later poll got the reply to the poll before it."""
+    unit = ScriptedUnit()
+
+    def answers(command: str) -> bytes | None:
+        unit.values["PP"] += command == "PP"
+        if command == "PP" and unit.values["PP"] == 5:
+            refusal = b"! Illegal argument\r\n"
+            hub._due.append(Chunk(PTU_PORT, hub.now_ns() + 2 * MS, refusal))
+        return unit(command)
+
+    client, hub, _ = client_for(answers)
+    client.min_interval_s, hub.slow_s = 0.01, 0.035
+    replies = []
+    for _ in range(20):
+        reply = client.exchange(PAN, is_poll=True).reply
+        assert reply is not None
+        replies.append((reply.text, str(unit.values["PP"])))
+    assert [text for text, _ in replies if not text.isdigit()] == ["Illegal argument"]
+    assert all(text == expected for text, expected in replies if text.isdigit())
+    assert client.counts.stale == 1
+
+
 @pytest.mark.parametrize("late_s", [1.05, 1.2, 2.5])
 def test_a_late_reply_does_not_prevent_a_halt(late_s: float) -> None:
     unit = ScriptedUnit()

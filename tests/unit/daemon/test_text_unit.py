@@ -211,6 +211,35 @@ def test_a_lost_reply_is_not_taken_for_the_next_one(monkeypatch: pytest.MonkeyPa
     assert bench.pan_deg() == 150.0
 
 
+def test_a_superfluous_line_does_not_shift_the_positions(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Before, the reply to each poll was taken for that to the next one."""
+    bench = Bench(RIG.replace("command_time_ms: 5.0", "command_time_ms: 40.0"))
+    bench.open()
+    bench.driver.set_poll_rate(100.0)
+    bench.driver.start_move([AxisTarget(Axis.PAN, 1_500_000, 100_000)])
+    write, pushed_ns = bench.hub.write, bench.hub.now_ns() + 10**9
+
+    def add_line(port: str, data: bytes) -> object:
+        nonlocal pushed_ns
+        times = write(port, data)
+        if b"POS?" in data and 0 < pushed_ns < bench.hub.now_ns():
+            bench.hub._push(bench.hub.now_ns() + 2_000_000, "ptu", b'-350,"Queue overflow"\n')
+            pushed_ns = 0
+        return times
+
+    monkeypatch.setattr(bench.hub, "write", add_line)
+    polls = [bench.driver.poll() for _ in range(60)]
+    assert pushed_ns == 0
+    assert sum(not poll.steps for poll in polls) == 1
+    assert bench.driver.counts.stale == 1  # the reply to the poll that got the line
+    for poll in polls:
+        earliest, latest = (
+            bench.emulated.stage.pan.count((ns - ORIGIN_NS) * 1e-9)
+            for ns in (poll.earliest_ns, poll.latest_ns)
+        )
+        assert all(earliest <= steps <= latest for steps in poll.steps.values())
+
+
 def test_another_device_on_the_port_is_never_moved() -> None:
     other = RIG.replace("driver: scpi_table, ", "")
     bench = Bench(other)

@@ -6,10 +6,10 @@ line has no flow control: the next command waits for the reply to the last one, 
 vendor's limit of the command rate.
 
 Theory of operation. A reply does not say which command it belongs to. One that arrives after
-its timeout would be taken for the reply to the next command. Therefore, after a timeout or a
-reply that does not fit, the line is out of step: before the next command the unit is asked for
-its version. It replies in order, and that reply fits no other query, so everything before it is
-stale. Only HALT is written first, in step or not.
+its timeout would be taken for the reply to the next command. Therefore, after a timeout, a reply
+that does not fit or a refused poll, the line is out of step: before the next command the unit is
+asked for its version. It replies in order, and that reply fits no other query, so everything
+before it is stale. Only HALT is written first, in step or not.
 """
 
 import contextlib
@@ -145,7 +145,13 @@ class PtuClient:
             self.counts.poll_wait_max_ns = max(self.counts.poll_wait_max_ns, wait_ns)
         if not is_poll or exchange.reply is None or not exchange.reply.ok or exchange.limit_hit:
             self._on_exchange(exchange)
-        self._is_out_of_step = exchange.reply is None or not _is_answer_to(command, exchange.reply)
+        # A unit refuses no poll: the refusal answers a byte that it received in error, and the
+        # reply to the poll may follow.
+        self._is_out_of_step = (
+            exchange.reply is None
+            or not _is_answer_to(command, exchange.reply)
+            or (is_poll and not exchange.reply.ok)
+        )
         if exchange.reply is None and not self.is_port_gone:
             self._resynchronise()
         self._check_port()
