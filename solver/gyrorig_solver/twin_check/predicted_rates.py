@@ -25,6 +25,7 @@ from gyrorig_solver.twin_check.observed_session import AXES, ObservedSession
 # Tilt turns the stage about its x axis, pan about the other two.
 STAGE_AXES_OF = ((1, 2), (0,))
 LEAD_S = 0.01  # a move's shift begins this much before its start, because the start has an error
+MAX_COUNTING_OFFSET = 3  # samples that the daemon can miss while it opens the port
 GAIN_BLOCK_S = 0.5  # means for the gain; longer than the delay of a sensor
 
 
@@ -34,7 +35,7 @@ class SimulatedRates:
 
     own_rad_s: FloatArray  # block means at the session's samples, (n, 3)
     rates: CubicSpline  # over the time of the simulated session
-    starts_s: tuple[FloatArray, FloatArray]  # true starts of pan and tilt
+    starts_s: tuple[FloatArray, FloatArray]  # true starts of its observed moves, pan and tilt
     first_s: float  # time of the first sample
     gain: FloatArray  # stage to sensor, (3, 3), approximate
 
@@ -53,18 +54,13 @@ class SimulatedRates:
         rows = np.asarray(arrays[f"{board}.number"], dtype=np.int64)
         hidden, true_s = arrays[f"{board}.hidden_rad_s"], arrays[f"{board}.time_s"]
         numbers = session.sample_numbers() - int(rows[0])
-        if numbers[0] < 0 or numbers[-1] >= rows.size:
-            raise InputError(
-                "the simulated recording has samples without noise-free rates",
-                "simulate the session again",
-            )
+        numbers += _counting_offset(session.samples.rate_rad_s, hidden, numbers)
         inside = np.arange(int(numbers[0]), int(numbers[-1]) + 1)
         # Between lost samples, the mapped time changes like the true time.
-        mapped_s = true_s[inside] + np.interp(
-            inside, numbers, session.samples.time_s - true_s[numbers]
-        )
+        mapping_s = session.samples.time_s - true_s[numbers]
+        mapped_s = true_s[inside] + np.interp(inside, numbers, mapping_s)
         starts = tuple(
-            _mapped_starts(arrays[f"{axis}_s"], moves.start_s)
+            _mapped_starts(arrays[f"{axis}_s"], moves.start_s, float(np.median(mapping_s)))
             for axis, moves in zip(AXES, session.moves, strict=True)
         )
         own_means = _own_block_means(session, hidden, numbers)
@@ -152,28 +148,69 @@ def _interpolate(
     return CubicSpline(times_s, values)
 
 
-def _mapped_starts(true_s: FloatArray, observed_s: FloatArray) -> FloatArray:
-    """Return true starts on the time axis of the recording.
+def _counting_offset(measured: FloatArray, noise_free: FloatArray, numbers: IntArray) -> int:
+    """Return by how many samples the numbers of a recording are behind those of the simulation.
 
-    The two differ by a constant, which the position replies of all moves show.
+    The daemon numbers the samples of a board without a sequence number from the first one that
+    arrives. The right offset leaves the noise alone, and so the smallest residual.
+
+    Args:
+        measured: rates of the simulated recording, (m, 3).
+        noise_free: rates of all samples since power-up, (n, 3).
+        numbers: of the m samples, without the offset.
+
+    Raises:
+        InputError: samples have no noise-free rates.
+    """
+    offsets = [
+        offset
+        for offset in range(-MAX_COUNTING_OFFSET, MAX_COUNTING_OFFSET + 1)
+        if numbers[0] + offset >= 0 and numbers[-1] + offset < len(noise_free)
+    ]
+    if not offsets:
+        raise InputError(
+            "the simulated recording has samples without noise-free rates",
+            "simulate the session again",
+        )
+    return min(
+        offsets, key=lambda k: float(np.var(measured - noise_free[numbers + k], axis=0).sum())
+    )
+
+
+def _mapped_starts(true_s: FloatArray, observed_s: FloatArray, mapping_s: float) -> FloatArray:
+    """Return the true starts of the observed moves on the time axis of the recording.
+
+    The simulation also lists orders that move nothing. True and observed starts differ by a
+    constant, which the position replies of all moves show.
+
+    Args:
+        true_s: starts of all orders of an axis.
+        observed_s: starts of its moves, shape (m,).
+        mapping_s: time of the recording minus true time, approximate.
     """
     if not true_s.size or not observed_s.size:
         return np.zeros(0)
-    return np.asarray(true_s + np.median(_match_starts(true_s, observed_s)), dtype=np.float64)
+    nearest = np.abs(true_s + mapping_s - observed_s[:, None]).argmin(axis=1)
+    matched_s = true_s[nearest]
+    return np.asarray(matched_s + np.median(observed_s - matched_s), dtype=np.float64)
 
 
 def _match_starts(starts_s: FloatArray, others_s: FloatArray) -> FloatArray:
     """Return, for each of some starts, the other start minus this start, shape of `starts_s`.
 
-    With unequal numbers of moves, each start is matched with the nearest one.
+    With unequal numbers of moves, each start is matched with the nearest one, at the offset that
+    matches the starts best.
     """
     if not starts_s.size or not others_s.size:
         return np.zeros(0)
+    differences = others_s - starts_s[:, None]
     if starts_s.size == others_s.size:
-        return np.asarray(others_s - starts_s, dtype=np.float64)
-    offset = others_s[0] - starts_s[0]
-    nearest: IntArray = np.abs(others_s[None, :] - starts_s[:, None] - offset).argmin(axis=1)
-    return np.asarray(others_s[nearest] - starts_s, dtype=np.float64)
+        return np.diagonal(differences).copy()
+    distances = [np.abs(differences - offset).min(axis=1) for offset in np.unique(differences)]
+    best = int(np.argmin([np.median(distance) for distance in distances]))
+    offset = np.unique(differences)[best]
+    nearest = np.abs(differences - offset).argmin(axis=1)
+    return np.asarray(differences[np.arange(starts_s.size), nearest], dtype=np.float64)
 
 
 def _own_block_means(session: ObservedSession, rates: FloatArray, numbers: IntArray) -> FloatArray:

@@ -1,0 +1,104 @@
+"""Noise-free rates of a simulated session, at the samples of another session of the same rig."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gyrorig_daemon.cli import run as run_daemon
+from gyrorig_protocol.documents import dump_yaml, parse_yaml
+from gyrorig_protocol.recording.reader import read_recording
+from gyrorig_solver.commands.project_files import project_file
+from gyrorig_solver.twin_check.observed_session import ObservedSession
+from gyrorig_solver.twin_check.predicted_rates import SimulatedRates, _match_starts
+
+MOVES = """
+  - move: {pan_deg: 60.0, speed_deg_s: 70.0}
+  - rest: {seconds: 0.7}
+  - move: {tilt_deg: 25.0, speed_deg_s: 40.0}
+  - rest: {seconds: 0.4}
+  - move: {pan_deg: -30.0, tilt_deg: -10.0, speed_deg_s: 60.0}
+  - rest: {seconds: 2.0, phase: static}
+"""
+PROGRAM = """
+schema: gyrorig/program/1
+name: moves
+settings: {base_speed_deg_s: 3.0, acceleration_deg_s2: 200.0, default_speed_deg_s: 60.0}
+steps:
+  - rest: {seconds: 2.0, phase: static}
+"""
+ZERO_MOVES = "  - move: {pan_deg: 0.0, tilt_deg: 0.0}\n  - rest: {seconds: 1.0}\n"
+TEXT_BOARD = {
+    "format": "text",
+    "columns": {
+        "time": 0,
+        "gyro": [1, 2, 3],
+        "accel": [4, 5, 6],
+        "time_unit": "us",
+        "columns": 7,
+    },
+    "facts": {
+        "uid": "GY80-1-by-hand",
+        "sensor": "L3G4200D",
+        "odr_hz": 100.0,
+        "bandwidth_hz": 25.0,
+        "gyro_full_scale_dps": 250.0,
+        "gyro_scale_rad_s": 0.000152716,
+        "counter_bits": 32,
+    },
+}
+Sessions = Callable[..., tuple[ObservedSession, ObservedSession, dict[str, np.ndarray]]]
+
+
+@pytest.fixture
+def sessions(tmp_path: Path) -> Sessions:
+    """Return a function that records a session, and a second one with its noise-free rates."""
+
+    def record(steps: str, **board: object) -> tuple[ObservedSession, ObservedSession, dict]:
+        rig = parse_yaml(project_file("rig.yaml").read_bytes(), "rig.yaml")
+        rig["boards"][0] |= board
+        (tmp_path / "rig.yaml").write_text(dump_yaml(rig), encoding="utf-8")
+        (tmp_path / "moves.yaml").write_text(PROGRAM + steps, encoding="utf-8")
+        observed = []
+        for seed in (1, 2):
+            arguments = [
+                *("record", "--simulated-time", "--config", str(tmp_path / "rig.yaml")),
+                *("--program", str(tmp_path / "moves.yaml"), "--out", str(tmp_path / str(seed))),
+                *("--seed", "3", "--session-seed", str(seed)),
+                *("--rates", str(tmp_path / f"{seed}.npz")),
+            ]
+            assert run_daemon(arguments) == 0
+            recording = read_recording(next((tmp_path / str(seed)).glob("*.mcap")))
+            observed.append(ObservedSession.of(recording, "GY80-1"))
+        return observed[0], observed[1], dict(np.load(tmp_path / "2.npz"))
+
+    return record
+
+
+def prediction_error_dps(
+    measured: ObservedSession, simulated: ObservedSession, arrays: dict[str, np.ndarray]
+) -> float:
+    rates = SimulatedRates.of(simulated, "GY80-1", arrays)
+    residual = (measured.rate_rad_s - rates.at(measured))[measured.used]
+    return float(np.degrees(np.sqrt(np.mean((residual - residual.mean(axis=0)) ** 2))))
+
+
+@pytest.mark.parametrize("board", [{}, TEXT_BOARD], ids=["numbered", "text"])
+@pytest.mark.parametrize("steps", [MOVES, ZERO_MOVES + MOVES], ids=["moves", "zero moves"])
+def test_a_session_of_the_same_rig_is_predicted_within_its_noise(
+    sessions: Sessions, steps: str, board: dict[str, object]
+) -> None:
+    """Before: 67 deg/s after an order that moves nothing, and a shift of a sample for text."""
+    measured, simulated, arrays = sessions(steps, **board)
+    at_rest = measured.rate_rad_s[measured.block_time_s < measured.moves[0].start_s[0] - 0.2]
+    noise_dps = float(np.degrees(np.std(at_rest, axis=0).mean()))
+    assert prediction_error_dps(measured, simulated, arrays) < 1.25 * noise_dps
+
+
+def test_starts_are_matched_if_one_is_missing() -> None:
+    starts_s = np.array([1.0, 4.0, 9.0, 11.0])
+    others_s = np.array([4.02, 9.01, 11.03]) + 100.0
+    assert _match_starts(others_s, starts_s) == pytest.approx(starts_s[1:] - others_s)
+    matched = _match_starts(starts_s, others_s)
+    assert matched[1:] == pytest.approx(others_s - starts_s[1:])
