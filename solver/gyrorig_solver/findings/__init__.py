@@ -9,6 +9,7 @@ from gyrorig_solver.findings.findings_builder import (
     UNEXPLAINED_FIGURE,
     build_findings_document,
     figure_key,
+    figure_key_at,
 )
 from gyrorig_solver.findings.findings_document import CauseEntry, FindingsDocument, to_yaml
 from gyrorig_solver.findings.findings_files import write_findings
@@ -28,6 +29,7 @@ __all__ = [
     "build_findings_document",
     "cause_title",
     "figure_key",
+    "figure_key_at",
     "findings_summary",
     "next_experiment_lines",
     "place_text",

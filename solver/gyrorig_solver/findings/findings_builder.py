@@ -33,6 +33,7 @@ from gyrorig_solver.findings.findings_document import (
     UntestableEntry,
 )
 from gyrorig_solver.findings.findings_wording import cause_remedy
+from gyrorig_solver.model import recording_index_of
 from gyrorig_solver.model.catalogue import catalogue
 from gyrorig_solver.plan import NextExperiment
 
@@ -139,9 +140,15 @@ def unexplained_bias_sigma(residual: FoundUnexplained) -> float:
     return math.sqrt(max(0.0, residual.leading.statistic - residual.leading.degrees_of_freedom))
 
 
-def figure_key(cause: str, where: Sequence[str]) -> str:
+def figure_key(cause: NamedCause) -> str:
     """Return the key of a cause's figure; it is part of a file name."""
-    return "-".join((cause, *where))
+    index = recording_index_of(cause.term)
+    return figure_key_at(cause.cause, cause.where, None if index is None else index + 1)
+
+
+def figure_key_at(cause: str, where: Sequence[str], recording_number: int | None) -> str:
+    """Return the key of a figure; causes of single recordings can have the same name and place."""
+    return "-".join((cause, *where, *([] if recording_number is None else [str(recording_number)])))
 
 
 def _untestable_entries(findings: CauseFindings, raw: Sequence[RawChecks]) -> list[UntestableEntry]:
@@ -168,22 +175,27 @@ def _cause_entries(
         for finding in result.findings
     ]
     of_positive_size = {finding.cause for _, finding in stream_findings if finding.size > 0.0}
-    by_cause: dict[tuple[str, tuple[str, ...]], tuple[StreamFinding, list[str]]] = {}
+    # A configuration error is a property of the board; each recording loses its own samples.
+    places: dict[tuple[str, tuple[str, ...], str | None], tuple[StreamFinding, list[str]]] = {}
     for recording, finding in stream_findings:
         term = catalogue().get(finding.cause)
-        implied = term is not None and term.implied_by in of_positive_size
-        if finding.cause not in named_causes and not implied:
-            _, names = by_cause.setdefault((finding.cause, finding.where), (finding, []))
-            names.append(recording)
+        if finding.cause in named_causes or (term and term.implied_by in of_positive_size):
+            continue
+        limited = None if len(raw_checks) == 1 or _is_configuration_error(finding) else recording
+        _, names = places.setdefault((finding.cause, finding.where, limited), (finding, []))
+        names.append(recording)
     configuration: list[CauseEntry] = []
     stream: list[CauseEntry] = []
-    for finding, names in by_cause.values():
-        term = catalogue().get(finding.cause)
-        is_configuration = term is not None and term.is_configuration_error
-        entries = configuration if is_configuration else stream
-        entries.append(_raw_cause(finding, names, figures))
+    for (_, _, limited), (finding, names) in places.items():
+        entries = configuration if _is_configuration_error(finding) else stream
+        entries.append(_raw_cause(finding, list(dict.fromkeys(names)), limited))
     searched = [_searched_cause(cause, findings, figures) for cause in findings.causes]
     return [*configuration, *searched, *stream]
+
+
+def _is_configuration_error(finding: StreamFinding) -> bool:
+    term = catalogue().get(finding.cause)
+    return term is not None and term.is_configuration_error
 
 
 def _searched_cause(
@@ -205,7 +217,7 @@ def _searched_cause(
             TestStatistics,
             cause,
             seen_as=cause.sentence,
-            figure=figures.get(figure_key(cause.cause, cause.where)),
+            figure=figures.get(figure_key(cause)),
         ),
         gain=_gain_entry(cause.gain or (findings.gain if is_only_cause else None)),
         one_of=list(cause.one_of),
@@ -218,9 +230,9 @@ def _searched_cause(
 
 
 def _raw_cause(
-    finding: StreamFinding, recordings: Sequence[str], figures: Mapping[str, str]
+    finding: StreamFinding, recordings: Sequence[str], limited: str | None
 ) -> CauseEntry:
-    recording_text = f", in {', '.join(recordings)}" if len(recordings) > 1 else ""
+    place_text = f", in {', '.join(recordings)}" if len(recordings) > 1 else ""
     std = (
         math.sqrt(finding.share * (1.0 - finding.share) / finding.total)
         if finding.quantity == "share"
@@ -235,11 +247,11 @@ def _raw_cause(
             statistic=float(finding.count),
             degrees_of_freedom=1,
             p_value=finite_values(finding.p_value),
-            seen_as=finding.seen_as + recording_text,
-            figure=figures.get(figure_key(finding.cause, finding.where)),
+            seen_as=finding.seen_as + place_text,
         ),
         gain=None,
         remedy=finding.remedy,
+        recording=limited,
     )
 
 

@@ -106,14 +106,15 @@ def amount_text(cause: str, value: float | None, unit: str) -> str:
     return f"{format_short(value * factor)} {word}".strip()
 
 
-def place_text(where: str | None) -> str:
-    """Return ", on tilt" for a place, "" for all places."""
-    return f", on {where}" if where and where != "all" else ""
+def place_text(where: str | None, recording: str | None = None) -> str:
+    """Return ", on tilt" for a place, ", in a.mcap" for one of several recordings, or both."""
+    where_text = f", on {where}" if where and where != "all" else ""
+    return where_text + (f", in {recording}" if recording else "")
 
 
 def cause_headline(cause: CauseEntry) -> str:
     """Return a cause's title and place."""
-    return cause_title(cause.cause) + place_text(cause.where)
+    return cause_title(cause.cause) + place_text(cause.where, cause.recording)
 
 
 def lower_title(name: str) -> str:
@@ -128,7 +129,7 @@ def named_causes_text(document: FindingsDocument) -> str:
         return ""
     texts = []
     for cause in document.causes[:MAX_CAUSES_IN_HEADING]:
-        name = lower_title(cause.cause) + place_text(cause.where)
+        name = lower_title(cause.cause) + place_text(cause.where, cause.recording)
         texts.append(", ".join(filter(None, (name, main_size_text(cause)))))
     other_count = len(document.causes) - len(texts)
     if other_count:
@@ -280,7 +281,7 @@ def _heading(document: FindingsDocument) -> str:
 
 def _cause_lines(document: FindingsDocument, cause: CauseEntry) -> list[str]:
     name = " or ".join([cause.cause, *cause.one_of])
-    lines = [f"  ! {name}{place_text(cause.where)}: {cause.evidence.seen_as}"]
+    lines = [f"  ! {name}{place_text(cause.where, cause.recording)}: {cause.evidence.seen_as}"]
     sizes = ", ".join(
         f"{name} {size_text(cause.cause, name, size)}" for name, size in cause.parameters.items()
     )

@@ -174,9 +174,7 @@ class RestTemperature:
         series = explanation.report_series
         if series is not None:
             effect = self.fit.curve.change(series.temperature_degc)
-            effects = {
-                figure_key(cause.cause, cause.where): effect for cause in findings.causes[:1]
-            }
+            effects = {figure_key(cause): effect for cause in findings.causes[:1]}
             series = replace(
                 series,
                 measured_rad_s=series.measured_rad_s + effect,

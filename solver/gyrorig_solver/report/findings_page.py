@@ -19,7 +19,7 @@ def draw_findings_figures(series: ReportSeries, findings: CauseFindings) -> dict
     """Draw all figures of the findings, SVG texts by key."""
     figures = {}
     for cause in findings.causes:
-        key = figure_key(cause.cause, cause.where)
+        key = figure_key(cause)
         figures[key] = cause_figures.cause_figure(series, cause.cause, key, cause.where)
     unexplained = findings.unexplained
     if unexplained is not None:

@@ -9,7 +9,7 @@ from gyrorig_solver.findings import (
     FindingsDocument,
     amount_text,
     cause_title,
-    figure_key,
+    figure_key_at,
     next_experiment_lines,
     place_text,
 )
@@ -210,7 +210,9 @@ def _cause_view(
     document: FindingsDocument, cause: CauseEntry, figures: Mapping[str, str]
 ) -> dict[str, Any]:
     components = () if cause.where == "all" else tuple(cause.where.split(", "))
-    key = figure_key(cause.cause, components)
+    names = [entry.name for entry in document.recording]
+    number = names.index(cause.recording) + 1 if cause.recording in names else None
+    key = figure_key_at(cause.cause, components, number)
     p_value = cause.evidence.p_value
     # Of a single cause, the changes are those of the whole fit: one number for one thing.
     is_single = len(document.causes) == 1 and bool(document.effect_on_calibration)

@@ -105,9 +105,7 @@ def series_of_explanation(explained: FitExplanation) -> ReportSeries:
         angle_rad=np.concatenate([p.angle for p in all_segments], axis=1),
         temperature_degc=np.concatenate([p.temperature for p in all_segments]),
         effects={
-            figure_key(cause.cause, cause.where): np.concatenate(
-                [p.effects[k] for p in all_segments]
-            )
+            figure_key(cause): np.concatenate([p.effects[k] for p in all_segments])
             for k, cause in enumerate(causes)
         },
         frequency_hz=base_spectrum.frequency_hz,
@@ -131,9 +129,7 @@ def series_of_attitudes(explanation: AttitudeExplanation) -> ReportSeries:
     unnamed_terms = [term for k, term in enumerate(space.fitted_terms) if k not in named_indices]
     before, after = space.residual_without(named_indices), space.residual_without()
     effects = {
-        figure_key(cause.cause, cause.where): np.concatenate(
-            space.band_signal(partial(_term_effect, cause.extension))
-        )
+        figure_key(cause): np.concatenate(space.band_signal(partial(_term_effect, cause.extension)))
         for cause in causes
     }
     measured = np.concatenate(

@@ -4,6 +4,7 @@ What to use when: `build_twin` with the result of `pipeline` for each board; `wr
 folder of the twin.
 """
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from importlib.metadata import version as installed_version
@@ -50,12 +51,19 @@ class BuiltTwin:
 
 
 def check_one_rig(recordings: Sequence[Recording]) -> None:
-    """Raise an error for recordings of different rigs.
+    """Raise an error for recordings of different rigs, or with the same file name.
 
     Raises:
         UsageError: the rigs, the units, or boards with the same name differ between two recordings,
-            or only one of them has a unit.
+            only one of them has a unit, or two have the same file name.
     """
+    name, count_of_name = Counter(r.path.name for r in recordings).most_common(1)[0]
+    if count_of_name > 1:
+        raise UsageError(
+            f"{count_of_name} recordings have the file name {name}, but a twin refers to its "
+            "recordings by their names",
+            "rename the files so that each has a different name",
+        )
     with_unit = [recording.path.name for recording in recordings if has_unit([recording])]
     without = [recording.path.name for recording in recordings if not has_unit([recording])]
     if with_unit and without:

@@ -45,9 +45,12 @@ def collect_causes(fits: Mapping[str, CriticisedFit]) -> CollectedCauses:
         explanation = criticised.explanation
         if explanation is None:
             continue
-        named = {(c.cause, ", ".join(c.where) or "all"): c for c in explanation.findings.causes}
+        named = {
+            (c.cause, ", ".join(c.where) or "all", c.recording): c
+            for c in explanation.findings.causes
+        }
         for entry in build_document(explanation).causes:
-            cause = named.get((entry.cause, entry.where))
+            cause = named.get((entry.cause, entry.where, entry.recording))
             if entry.cause not in catalogue():
                 collected.not_emulated.append(entry.cause)
                 continue

@@ -70,14 +70,27 @@ def test_the_search_and_the_stream_stand_together(
     assert [(cause.cause, cause.where) for cause in document.causes] == [
         ("backlash", "tilt"),
         ("repeated_samples", "all"),
+        ("repeated_samples", "all"),
     ]
-    play, again = document.causes
+    play, again, later = document.causes
     assert play.harm_sigma == pytest.approx(2.5)
     assert play.gain is not None
     assert play.gain.held_out_log_likelihood == 37.5
     assert again.gain is None
-    assert again.evidence.seen_as.endswith("in monday.mcap, friday.mcap")
+    assert [again.recording, later.recording] == ["monday.mcap", "friday.mcap"]
     assert again.parameters["share"].std == pytest.approx(math.sqrt(0.005 * 0.995 / 12_000))
+
+
+def test_each_recording_has_its_share(
+    findings: CauseFindings, raw: list[RawChecks], origin: FindingsOrigin
+) -> None:
+    """Before, the share of the first recording was stated for all of them."""
+    check = raw[1].checks[0]
+    more = replace(check.findings[0], count=600, size=0.05)
+    friday = replace(raw[1], checks=(replace(check, findings=(more,)),))
+    document = build_findings_document(findings, [raw[0], friday], origin)
+    shares = {c.recording: c.parameters["share"].value for c in document.causes if c.recording}
+    assert shares == {"monday.mcap": 0.005, "friday.mcap": 0.05}
 
 
 def test_a_faulty_stream_is_explained_not_adequate(
@@ -134,7 +147,8 @@ def test_a_person_reads_verdict_cause_size_and_remedy(
     lines = summary.splitlines()
     assert lines[0] == (
         "GY80-0007 (L3G4200D): not fully explained: the gears have backlash, on tilt, "
-        "0.0573 ± 0.0057 deg; samples are repeated, 0.500 ± 0.064 %"
+        "0.0573 ± 0.0057 deg; samples are repeated, in monday.mcap, 0.500 ± 0.064 %; "
+        "samples are repeated, in friday.mcap, 0.500 ± 0.064 %"
     )
     assert "backlash, on tilt: the gears have backlash" in lines[1]
     assert "gap.tilt +0.0573 ± 0.0057 deg" in lines[2]

@@ -99,6 +99,14 @@ def test_recordings_of_two_rigs_are_refused(quick: Path, tmp_path: Path) -> None
     assert "workshop-2" in message
 
 
+def test_two_recordings_with_one_file_name_are_refused(quick: Path) -> None:
+    """Before, the twin had the events of the last one only."""
+    recording = read_recording(quick)
+    other = replace(recording, path=Path("elsewhere") / recording.path.name)
+    with pytest.raises(UsageError, match=r"2 recordings have the file name"):
+        check_one_rig([recording, other])
+
+
 def test_recordings_with_and_without_a_unit_are_refused(quick: Path) -> None:
     with_unit = read_recording(quick)
     topics = {name: topic for name, topic in with_unit.topics.items() if name != "/ptu/position"}

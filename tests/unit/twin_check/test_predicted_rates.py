@@ -48,14 +48,15 @@ TEXT_BOARD = {
         "counter_bits": 32,
     },
 }
-Sessions = Callable[..., tuple[ObservedSession, ObservedSession, dict[str, np.ndarray]]]
+Pair = tuple[ObservedSession, ObservedSession, dict[str, np.ndarray]]
+Sessions = Callable[..., Pair]
 
 
 @pytest.fixture
 def sessions(tmp_path: Path) -> Sessions:
     """Return a function that records a session, and a second one with its noise-free rates."""
 
-    def record(steps: str, **board: object) -> tuple[ObservedSession, ObservedSession, dict]:
+    def record(steps: str, **board: object) -> Pair:
         rig = parse_yaml(project_file("rig.yaml").read_bytes(), "rig.yaml")
         rig["boards"][0] |= board
         (tmp_path / "rig.yaml").write_text(dump_yaml(rig), encoding="utf-8")
