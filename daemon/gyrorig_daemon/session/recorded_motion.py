@@ -64,7 +64,7 @@ def read_replay(path: Path) -> ReplaySource:
     if first_move_ns is None or not recording.board_ids:
         raise InputError(
             f"{path} cannot be replayed, because no unit moves in it",
-            "give a recording of a pan-tilt unit",
+            "give a recording in which a pan-tilt unit moves",
         )
     begin_ns, end_ns = _program_span_ns(recording, first_move_ns)
     text = next((a.data for a in recording.attachments if a.name == PROGRAM_NAME), b"")

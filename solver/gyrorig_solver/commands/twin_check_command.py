@@ -13,6 +13,7 @@ from gyrorig_solver.twin_check import (
     DEFAULT_DRAWS,
     MIN_DRAWS,
     check_twin_folder,
+    failure_texts,
     render_check,
     summarise,
     to_plain,
@@ -70,8 +71,8 @@ def twin_check_command(
                 f"{recording.path.name}: {losses}. The check uses the data that can be read."
             )
     code = PARTIAL if check.failed else 0
-    for name, fault in check.failed:
-        terminal.print_error(f"{name}: {fault}")
+    for text in failure_texts(check):
+        terminal.print_error(text)
     terminal.print_result(f"{summarise(check)}\n\nReport: {page}")
     terminal.print_json({**plain, "report": str(page), "file": str(data), "exit_code": code})
     return code

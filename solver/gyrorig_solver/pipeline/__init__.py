@@ -8,7 +8,7 @@ What to use when: `solve_board.solve_and_store` for a calibration in a store,
 `explain_board.explain_boards` for findings, `fit_board.solve_recordings` for only a fit.
 """
 
-from gyrorig_solver.pipeline.board_data import BoardData, has_unit, load_board
+from gyrorig_solver.pipeline.board_data import BoardData, check_given_once, has_unit, load_board
 from gyrorig_solver.pipeline.board_results import CriticisedFit
 from gyrorig_solver.pipeline.criticised_fit import AUTO, fit_criticised, fit_together
 from gyrorig_solver.pipeline.explain_board import WrittenFindings, explain_boards, write_explanation
@@ -23,6 +23,7 @@ __all__ = [
     "StoredResult",
     "UnitKnowledge",
     "WrittenFindings",
+    "check_given_once",
     "explain_boards",
     "fit_criticised",
     "fit_together",

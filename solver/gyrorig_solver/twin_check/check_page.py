@@ -24,10 +24,10 @@ from gyrorig_solver.twin_check.check_wording import (
     cause_views,
     difference_text,
     differences,
+    failure_texts,
     gain_text,
     is_different,
     lack_texts,
-    level,
     manager_text,
     p_text,
     residual_rms,
@@ -58,11 +58,13 @@ def render_check(check: TwinCheck) -> str:
     headline = "The twin still differs" if differs else "No difference found"
     if lacks and not differs:
         headline = "No difference found, but the twin lacks an effect without a known cause"
+    elif check.failed and not differs:
+        headline = "No difference found, but not all boards could be checked"
     view = {
         "title": "Simulation before / after / measured",
         "boards": ", ".join(dict.fromkeys(board.board for board in check.boards)),
         "created": check.twin.created,
-        "tone": "limited" if differs or lacks else "good",
+        "tone": "limited" if differs or lacks or check.failed else "good",
         "headline": headline,
         "manager": manager_text(check),
         "gain": gain_text(check),
@@ -72,6 +74,7 @@ def render_check(check: TwinCheck) -> str:
             for board in sorted(check.boards, key=lambda board: not board.is_held_out)
         ],
         "draws": check.draws,
+        "failures": failure_texts(check),
     }
     return fill_template("twin_check.html.j2", view)
 
@@ -79,6 +82,7 @@ def render_check(check: TwinCheck) -> str:
 def _section(board: BoardCheck, lacks: Sequence[str]) -> dict[str, Any]:
     before = by_key(board.before.comparisons)
     close_up = _close_up(board)
+    different = differences(board.after)
     rows = [
         {
             "title": comparison.family.title,
@@ -87,7 +91,7 @@ def _section(board: BoardCheck, lacks: Sequence[str]) -> dict[str, Any]:
             else "-",
             "after": p_text(comparison.p_value),
             "size": f"{comparison.size:.2g} {comparison.family.unit}",
-            "bad": comparison.p_value < level(board.after),
+            "bad": comparison in different,
         }
         for comparison in board.after.comparisons
     ]
@@ -105,7 +109,7 @@ def _section(board: BoardCheck, lacks: Sequence[str]) -> dict[str, Any]:
         if not board.is_held_out or board.recovered_share is None
         else f"{100.0 * board.recovered_share:.2f} %",
         "cause_share": _cause_share_text(board),
-        "left": [difference_text(comparison) for comparison in differences(board.after)],
+        "left": [difference_text(comparison) for comparison in different],
         "rows": rows,
         "residual_share": residual_share_text(board),
         "earlier": "default simulation" if board.without_causes is None else TWIN_ALONE,

@@ -20,6 +20,7 @@ from gyrorig_solver.twin_check.twin_folder_check import TwinCheck
 TWIN_ALONE = "twin without its causes"
 MAX_SHOWN_EFFECTS = 3  # of those without a known cause; the JSON output lists all
 EXPLAINABLE_SHARE = 0.2  # rms in units of the noise; below it, a share is not informative
+MIN_COMPARED_SHARE = 0.95  # of a recording; below it, the check states what it compared
 FALSE_ALARM = 0.01  # probability for one board in one recording, all statistics together
 
 
@@ -29,16 +30,21 @@ FITTED_NOTE = (
 )
 
 
+def tested(stage: StageCheck) -> list[FamilyComparison]:
+    """Return the comparisons that can differ: that of rare events has only the rank."""
+    return [
+        comparison for comparison in stage.comparisons if not comparison.family.is_of_rare_events
+    ]
+
+
 def level(stage: StageCheck) -> float:
     """Return the limit of a p-value (Bonferroni); the density also counts as one statistic."""
-    return FALSE_ALARM / (len(stage.comparisons) + 1)
+    return FALSE_ALARM / (len(tested(stage)) + 1)
 
 
 def differences(stage: StageCheck) -> list[FamilyComparison]:
     """Return the significant differences, the largest first."""
-    different = [
-        comparison for comparison in stage.comparisons if comparison.p_value < level(stage)
-    ]
+    different = [comparison for comparison in tested(stage) if comparison.p_value < level(stage)]
     return sorted(different, key=lambda comparison: -comparison.distance)
 
 
@@ -108,7 +114,7 @@ def residual_share_text(board: BoardCheck) -> str:
 
 
 def residual_rms(stage: StageCheck) -> float:
-    """Return the rms of measured minus predicted rate over all axes, deg/s."""
+    """Return the rms of measured minus predicted rate, without each axis' mean, deg/s."""
     return float(np.degrees(np.sqrt((stage.residual_rad_s**2).sum(axis=1).mean())))
 
 
@@ -136,9 +142,10 @@ def manager_text(check: TwinCheck) -> str:
         else ""
     )
     return (
-        f"The default simulation predicts the measured rates with an error of {_number(before)} "
-        f"deg/s rms. {reason}{meaning} With the twin the error is {_number(after)} deg/s; the "
-        f"noise of the simulated sensor alone gives {_number(noise)} deg/s. {gain_text(check)}"
+        "Without the bias, the default simulation predicts the measured rates with an error of "
+        f"{_number(before)} deg/s rms. {reason}{meaning} With the twin the error is "
+        f"{_number(after)} deg/s; the noise of the simulated sensor alone gives {_number(noise)} "
+        f"deg/s. {gain_text(check)}"
     )
 
 
@@ -151,22 +158,31 @@ def gain_text(check: TwinCheck) -> str:
         )
     gains = [board.gain_nats_per_s for board in check.held_out]
     shares = [board.recovered_share for board in check.held_out]
-    known = [share for share in shares if share is not None]
-    text = (
+    mean = float(np.mean(gains))
+    return (
         f"For data that the fit did not use ({len(gains)} x one board in one recording), the log "
-        f"predictive density improves by {_number(float(np.mean(gains)))} nats per second"
+        f"predictive density {'improves' if mean >= 0.0 else 'falls'} by {_number(abs(mean))} nats "
+        f"per second{_share_text([share for share in shares if share is not None])}. "
+        f"{_parts_text(check)}"
     )
-    if known:
-        text += (
-            f", which is {100.0 * min(known):.2f} % of the difference between the default "
-            "simulation and noise alone"
-        )
-    return f"{text}. {_parts_text(check)}"
+
+
+def _share_text(shares: Sequence[float]) -> str:
+    """Return the part of the possible gain that the twin reaches; empty if it is unknown."""
+    if not shares:
+        return ""
+    whole = "the difference between the default simulation and noise alone"
+    if len(shares) == 1:
+        return f", which is {100.0 * shares[0]:.2f} % of {whole}"
+    low, high = 100.0 * min(shares), 100.0 * max(shares)
+    return f"; of {whole}, the twin recovers {low:.2f} % to {high:.2f} %"
 
 
 def _parts_text(check: TwinCheck) -> str:
     """Return the parts of the gain on new recordings from the calibration and from the causes."""
     if not check.twin.causes:
+        if _mean([board.gain_nats_per_s for board in check.held_out]) < 0.0:
+            return "The twin has no causes, so its calibration does not describe these data."
         return "All of this gain comes from the calibration, because the twin has no causes."
     calibration = _mean([board.calibration_gain_nats_per_s for board in check.held_out])
     causes = _mean([board.cause_gain_nats_per_s for board in check.held_out])
@@ -201,15 +217,39 @@ def _cause_share_text(check: TwinCheck) -> str:
 
 def verdict_text(board: BoardCheck) -> str:
     """Return the verdict; it never claims that the simulation is complete."""
-    count = len(board.after.comparisons) + 1
+    count = len(tested(board.after)) + 1
     if not is_different(board.after):
         text = (
             f"No difference found in {count} statistics. Differences smaller than their scatter "
             "cannot be seen."
         )
+        text += compared_text(board)
         return text if board.is_held_out else f"{text} {FITTED_NOTE}"
     different = len(differences(board.after)) + (board.after.density_p_value < level(board.after))
-    return f"The twin differs from the measurement in {different} of {count} statistics."
+    return (
+        f"The twin differs from the measurement in {different} of {count} statistics."
+        f"{compared_text(board)}"
+    )
+
+
+def compared_text(board: BoardCheck) -> str:
+    """Return how much of a recording with gaps was compared; empty if it was all of it."""
+    time_s = board.session.samples.time_s
+    whole_s = float(time_s[-1] - time_s[0])
+    if board.session.duration_s > MIN_COMPARED_SHARE * whole_s:
+        return ""
+    return (
+        f" The check compared {board.session.duration_s:.1f} of {whole_s:.1f} s: the longest part "
+        "without a gap of the samples."
+    )
+
+
+def failure_texts(check: TwinCheck) -> list[str]:
+    """Return what could not be checked, and why."""
+    return [
+        f"{name if board is None else f'{board} in {name}'}: {fault}"
+        for name, board, fault in check.failed
+    ]
 
 
 def unexplained_text(twin: Twin, board: str) -> str:
@@ -290,7 +330,10 @@ def to_plain(check: TwinCheck) -> dict[str, Any]:
             }
             for board in check.boards
         ],
-        "failed": [{"recording": name, "error": str(fault)} for name, fault in check.failed],
+        "failed": [
+            {"recording": name, "board": board, "error": str(fault)}
+            for name, board, fault in check.failed
+        ],
     }
 
 
@@ -344,7 +387,7 @@ def _comparison_plain(comparison: FamilyComparison, stage: StageCheck) -> dict[s
         "title": comparison.family.title,
         "distance": comparison.distance,
         "p_value": comparison.p_value,
-        "different": comparison.p_value < level(stage),
+        "different": comparison in differences(stage),
         "size": comparison.size,
         "unit": comparison.family.unit,
     }

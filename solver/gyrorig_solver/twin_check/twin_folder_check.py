@@ -14,6 +14,7 @@ from gyrorig_protocol.documents import dump_yaml, parse_yaml
 from gyrorig_protocol.errors import GyrorigError, UsageError
 from gyrorig_protocol.recording.recording import Recording
 from gyrorig_protocol.twin import Twin, parse_twin
+from gyrorig_solver.pipeline import check_given_once
 from gyrorig_solver.twin_check.observed_session import check_has_unit
 from gyrorig_solver.twin_check.recording_check import BoardCheck, check_board
 from gyrorig_solver.twin_check.simulation import Simulator, run_draws
@@ -31,7 +32,8 @@ class TwinCheck:
     twin: Twin
     draws: int
     boards: tuple[BoardCheck, ...]
-    failed: tuple[tuple[str, GyrorigError], ...]  # recording, error
+    # recording, board and error; without a board: the whole recording
+    failed: tuple[tuple[str, str | None, GyrorigError], ...]
 
     @property
     def held_out(self) -> tuple[BoardCheck, ...]:
@@ -56,15 +58,17 @@ def check_twin_folder(
         on_run: called after each simulated session with the number of finished ones and of all.
 
     Raises:
-        UsageError: the folder has no valid twin, or the daemon is not installed.
-        GyrorigError: the only recording cannot be checked.
+        UsageError: the folder has no valid twin, a recording is given twice, or the daemon is not
+            installed.
+        GyrorigError: nothing can be checked.
     """
+    check_given_once(recordings)
     path = folder / TWIN_FILE
     text = _read_twin(path)
     twin = parse_twin(text, str(path))
     fitted = {entry.sha256 for entry in twin.recordings}
     checks: list[BoardCheck] = []
-    failed: list[tuple[str, GyrorigError]] = []
+    failed: list[tuple[str, str | None, GyrorigError]] = []
     other_draws = max(MIN_OTHER_DRAWS, draws // SHARE_OF_OTHERS)
     others = range(other_draws + 1)
     # If the twin has no causes, the twin without its causes is the same, and is not simulated.
@@ -98,14 +102,18 @@ def check_twin_folder(
                     scratch / str(number),
                     count_run,
                 )
-                is_held_out = recording.sha256 not in fitted
-                checks += [check_board(recording, name, is_held_out, *runs) for name in boards]
             except GyrorigError as fault:
-                if len(recordings) == 1:
-                    raise
-                failed.append((recording.path.name, fault))
+                failed.append((recording.path.name, None, fault))
+                continue
+            for name in boards:
+                try:
+                    checks.append(
+                        check_board(recording, name, recording.sha256 not in fitted, *runs)
+                    )
+                except GyrorigError as fault:
+                    failed.append((recording.path.name, name, fault))
     if failed and not checks:
-        raise failed[0][1]
+        raise failed[0][2]
     return TwinCheck(twin, draws, tuple(checks), tuple(failed))
 
 

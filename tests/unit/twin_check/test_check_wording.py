@@ -1,5 +1,8 @@
 """The texts of a check: what the twin is known to lack."""
 
+from types import SimpleNamespace
+from typing import Any
+
 import msgspec
 import pytest
 from tests.support.stated_causes import stated_twin
@@ -7,7 +10,12 @@ from tests.support.stated_causes import stated_twin
 from gyrorig_daemon.emulator.emulated_rig import EmulatedRig
 from gyrorig_daemon.emulator.emulator_settings import RigSettings
 from gyrorig_protocol.twin import Scalar, Twin, TwinCause, twin_to_plain
-from gyrorig_solver.twin_check.check_wording import lack_texts, unexplained_text
+from gyrorig_solver.twin_check.check_wording import (
+    differences,
+    gain_text,
+    lack_texts,
+    unexplained_text,
+)
 
 EFFECTS = ["on pan", "on tilt", "on the time", "on the speed", "on the move"]
 
@@ -50,3 +58,39 @@ def test_a_random_cause_of_the_board_limits_what_the_check_can_see() -> None:
 )
 def test_at_most_three_effects_are_listed(count: int, expected: str) -> None:
     assert expected in unexplained_text(*twin_without(EFFECTS[:count]))
+
+
+def held_out(*gains_and_shares: tuple[float, float | None]) -> Any:
+    """Return what a check states of boards with these gains and shares."""
+    boards = [
+        SimpleNamespace(
+            gain_nats_per_s=gain, recovered_share=share, calibration_gain_nats_per_s=gain
+        )
+        for gain, share in gains_and_shares
+    ]
+    return SimpleNamespace(held_out=boards, twin=SimpleNamespace(causes=()))
+
+
+def test_several_shares_are_a_range() -> None:
+    """Before, the mean gain was stated to be the smallest share."""
+    text = gain_text(held_out((4e4, 0.9999), (2e4, 0.98)))
+    assert "improves by 3e+04 nats per second; of the difference" in text
+    assert "recovers 98.00 % to 99.99 %" in text
+
+
+def test_a_loss_is_no_improvement() -> None:
+    text = gain_text(held_out((-5.0, None)))
+    assert "falls by 5 nats per second." in text
+    assert "All of this gain" not in text
+
+
+def test_rare_events_neither_differ_nor_count() -> None:
+    """Their p-value has the rank only, so it cannot reach the limit."""
+    comparisons = [
+        SimpleNamespace(
+            family=SimpleNamespace(is_of_rare_events=rare), p_value=p_value, distance=1.0
+        )
+        for rare, p_value in ((True, 1e-9), (False, 0.004), (False, 0.003))
+    ]
+    stage: Any = SimpleNamespace(comparisons=comparisons)
+    assert [comparison.p_value for comparison in differences(stage)] == [0.003]
