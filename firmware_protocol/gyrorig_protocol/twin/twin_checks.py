@@ -15,6 +15,7 @@ from gyrorig_protocol.twin.twin_document import (
     TwinBoard,
     TwinClock,
     TwinLink,
+    TwinTemperature,
     Vector,
 )
 
@@ -72,6 +73,9 @@ def parse_twin(text: str | bytes, name: str, error: type[GyrorigError] = UsageEr
 def twin_to_plain(twin: Twin) -> dict[str, Any]:
     """Return the section as mappings, lists and scalars, keys in the order of the schema."""
     plain: dict[str, Any] = msgspec.to_builtins(twin)
+    for board in plain["boards"].values():
+        if not board["later_temperatures"]:
+            del board["later_temperatures"]  # a key that older programs do not know
     return plain
 
 
@@ -229,16 +233,20 @@ def _check_board(board: TwinBoard, place: str, error: type[GyrorigError]) -> Non
             f"{place}: gain is singular",
             "write the matrix STM of a calibration that determines all three axes",
         )
-    curve = board.temperature
-    if curve is not None:
-        times = curve.time_s
-        if len(times) != len(curve.degc):
-            raise error(
-                f"{place}: temperature has {len(times)} times and {len(curve.degc)} values",
-                "write one value per time",
-            )
-        if any(later <= earlier for earlier, later in pairwise(times)):
-            raise error(f"{place}: the times of temperature do not increase", "sort the points")
+    first = () if board.temperature is None else (board.temperature,)
+    for curve in (*first, *board.later_temperatures.values()):
+        _check_temperature(curve, place, error)
+
+
+def _check_temperature(curve: TwinTemperature, place: str, error: type[GyrorigError]) -> None:
+    times = curve.time_s
+    if len(times) != len(curve.degc):
+        raise error(
+            f"{place}: temperature has {len(times)} times and {len(curve.degc)} values",
+            "write one value per time",
+        )
+    if any(later <= earlier for earlier, later in pairwise(times)):
+        raise error(f"{place}: the times of temperature do not increase", "sort the points")
 
 
 def _check_posterior(twin: Twin, place: str, error: type[GyrorigError]) -> None:

@@ -152,7 +152,12 @@ class TwinBoard(_Part, frozen=True):
     count: Scalar | None = None  # rad/s per count, nominal
     clock: TwinClock = TwinClock()
     stamp_jitter: Scalar | None = None  # s, mean
-    temperature: TwinTemperature | None = None
+    temperature: TwinTemperature | None = None  # in the first recording
+    # In the recordings after the first one, by the name of the recording.
+    later_temperatures: Annotated[
+        dict[Annotated[str, msgspec.Meta(max_length=255)], TwinTemperature],
+        msgspec.Meta(max_length=1000),
+    ] = {}
     # Effects in the residual of the fit that no known cause explains; the twin does not have them.
     unexplained: Annotated[tuple[Text, ...], msgspec.Meta(max_length=100)] = ()
 

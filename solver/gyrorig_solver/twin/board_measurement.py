@@ -68,7 +68,12 @@ def measure_board(data: BoardData, criticised: CriticisedFit) -> TwinBoard:
         count=_stated(samples.quantum_rad_s, "rad/s"),
         clock=_measure_clock(samples),
         stamp_jitter=stamp_jitter,
-        temperature=_temperature_curve(data),
+        temperature=_temperature_curve(data, 0),
+        later_temperatures={
+            recording.path.name: curve
+            for k, recording in enumerate(data.recordings)
+            if k > 0 and (curve := _temperature_curve(data, k)) is not None
+        },
         unexplained=_unexplained_effects(criticised),
     )
 
@@ -231,9 +236,9 @@ def _measure_stamp_jitter(recording: Recording, samples: GyroSamples) -> Scalar 
     return scalar(jitter_s, jitter_s * math.sqrt(4.0 / inside.size), "s")
 
 
-def _temperature_curve(data: BoardData) -> TwinTemperature | None:
-    """Return the temperatures of the first recording as means over equal times."""
-    samples = data.samples[0]
+def _temperature_curve(data: BoardData, recording_index: int) -> TwinTemperature | None:
+    """Return the temperatures of a recording as means over equal times."""
+    samples = data.samples[recording_index]
     degc = samples.temperature_degc
     if degc is None:
         return None

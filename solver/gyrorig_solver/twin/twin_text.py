@@ -26,7 +26,7 @@ NO_UNIT = (
 UNEXPLAINED = "a part of the residual has no known cause; the twin does not contain it"
 UNIT_VALUES = ("answer_time", "start_delay")
 LINK_VALUES = ("floor", "jitter", "stall_interval")
-NOT_SHOWN_OF_BOARD = ("temperature", "clock", "noise_floor", "unexplained")
+NOT_SHOWN_OF_BOARD = ("temperature", "later_temperatures", "clock", "noise_floor", "unexplained")
 # Key of a value of the twin, and its name for people.
 VALUE_NAMES = {
     "gain": "sensor matrix",

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
@@ -95,6 +96,12 @@ def board_settings(board: TwinBoard, settings: BoardSettings) -> BoardSettings:
             settings, count_mdps=round(settings.full_scale_dps / _COUNTS_OF_FULL_SCALE, 6) * 1e3
         )
     return settings
+
+
+def in_recording(board: TwinBoard, recording: str) -> TwinBoard:
+    """Return a board with its temperature in a recording, that of the first one if it has none."""
+    later = board.later_temperatures.get(recording)
+    return board if later is None else msgspec.structs.replace(board, temperature=later)
 
 
 def base_truth(

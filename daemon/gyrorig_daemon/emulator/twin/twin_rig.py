@@ -31,6 +31,7 @@ from gyrorig_daemon.emulator.twin.twin_devices import (
     base_truth,
     board_settings,
     clock_truth,
+    in_recording,
     latency_truth,
     link_delay_s,
     reference_rise_k,
@@ -67,13 +68,16 @@ def make_twin_rig(twin: Twin, settings: RigSettings, recording: str | None = Non
     Raises:
         UsageError: the twin has no board of the rig, or a cause cannot be used.
     """
-    boards = {board.name: _find_board(twin, board.name) for board in settings.boards}
+    played = next((r for r in twin.recordings if r.name == recording), twin.recordings[0])
+    boards = {
+        board.name: in_recording(_find_board(twin, board.name), played.name)
+        for board in settings.boards
+    }
     settings = replace(
         settings,
         ptu=None if settings.ptu is None else unit_settings(twin.unit, settings.ptu),
         boards=tuple(board_settings(boards[board.name], board) for board in settings.boards),
     )
-    played = next((r for r in twin.recordings if r.name == recording), twin.recordings[0])
     sampled = sample_rig_truth(replace(settings, injections=()))
     begin_s = settings.session_s[0]
     plain_boards = {
@@ -81,7 +85,7 @@ def make_twin_rig(twin: Twin, settings: RigSettings, recording: str | None = Non
             boards[board.name],
             board,
             sampled.boards[board.name],
-            begin_s - twin.recordings[0].begin_s,
+            begin_s - played.begin_s,
         )
         for board in settings.boards
     }
