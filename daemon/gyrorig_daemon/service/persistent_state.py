@@ -54,9 +54,7 @@ class PersistentState:
 
     @motion_lock.setter
     def motion_lock(self, motion_lock: MotionLock | None) -> None:
-        if motion_lock != self._motion_lock:
-            self._motion_lock = motion_lock
-            self._write()
+        self.store(motion_lock, self._steps_are_sure)
 
     @property
     def steps_are_sure(self) -> bool:
@@ -65,8 +63,12 @@ class PersistentState:
 
     @steps_are_sure.setter
     def steps_are_sure(self, sure: bool) -> None:
-        if sure != self._steps_are_sure:
-            self._steps_are_sure = sure
+        self.store(self._motion_lock, sure)
+
+    def store(self, motion_lock: MotionLock | None, steps_are_sure: bool) -> None:
+        """Set both values, in one write."""
+        if (motion_lock, steps_are_sure) != (self._motion_lock, self._steps_are_sure):
+            self._motion_lock, self._steps_are_sure = motion_lock, steps_are_sure
             self._write()
 
     def _read(self, document: dict[str, Any]) -> None:

@@ -128,10 +128,13 @@ class SessionRunner:
             raise StopRequestedError("the process must end")
 
     def lock_motion(self, reason: str) -> None:
-        """Lock motion until a person releases the lock."""
-        if self._context.persistent.motion_lock is None:
+        """Lock motion until a person releases the lock; store a loss of steps with it."""
+        persistent = self._context.persistent
+        motion_lock = persistent.motion_lock
+        if motion_lock is None:
             self._context.requests.clear.clear()  # an earlier request does not apply to this fault
-            self._context.persistent.motion_lock = MotionLock(reason, self._context.clocks.utc_s())
+            motion_lock = MotionLock(reason, self._context.clocks.utc_s())
+        persistent.store(motion_lock, self._are_steps_sure())
 
     def _open_session(self, job: SessionJob, home: bool) -> Session:
         rig, context = self._rig, self._context
@@ -186,12 +189,7 @@ class SessionRunner:
             session.run_program()
             path = session.finish()
         except StopRequestedError as request:
-            problems = self._end_early(session, str(request))
-            if not self._context.requests.acknowledge_stop():
-                self.lock_motion(str(request))
-            elif session.recorder.path is None:
-                return SessionOutcome("waits", str(request), None)
-            return SessionOutcome("stopped", _join(str(request), *problems), session.recorder.path)
+            return self._handle_stop(session, str(request))
         except PortsGoneError as error:
             session.abort_and_close(error.problem, can_halt=False)
             raise
@@ -208,23 +206,38 @@ class SessionRunner:
             raise
         return _judge(session, path)
 
+    def _handle_stop(self, session: Session, reason: str) -> SessionOutcome:
+        """End a session on request; an operator's halt locks motion before the recording closes."""
+        self._pump.ignore_stop()
+        problems = session.abort(reason)
+        must_end = self._context.requests.acknowledge_stop()
+        if not must_end:
+            self.lock_motion(reason)
+        self._close_early(session)
+        if must_end and session.recorder.path is None:
+            return SessionOutcome("waits", reason, None)
+        return SessionOutcome("stopped", _join(reason, *problems), session.recorder.path)
+
     def _handle_refusal(
         self, session: Session, fault: GyrorigError, is_scheduled: bool
     ) -> SessionOutcome:
         """End a session that has not reached its motion; decide whether it is tried again."""
-        problems = self._end_early(session, fault.problem)
+        self._pump.ignore_stop()
+        problems = session.abort(fault.problem)
+        self._close_early(session)
         can_retry = is_scheduled and not isinstance(fault, UsageError)
         can_retry = can_retry or (isinstance(fault, DeviceError) and self._rig.driver.is_port_gone)
         if can_retry and session.recorder.path is None:
             return SessionOutcome("waits", fault.problem, None)
         return SessionOutcome("failed", _join(str(fault), *problems), session.recorder.path)
 
-    def _end_early(self, session: Session, reason: str) -> list[str]:
-        """Halt and close the recording; return the problems on the way."""
-        self._pump.ignore_stop()
-        problems = session.abort(reason)
+    def _close_early(self, session: Session) -> None:
+        """Close the recording of a halted session; store a loss of steps before that."""
+        self._context.persistent.steps_are_sure = self._are_steps_sure()
         session.close_partial()
-        return problems
+
+    def _are_steps_sure(self) -> bool:
+        return self._context.persistent.steps_are_sure and not self._unit_monitor.has_lost_steps
 
     def _record_aftermath(
         self, session: Session, fault: DeviceError, planned_s: float

@@ -76,6 +76,11 @@ class UnitMonitor:
             facts.tilt.to_rad(self._steps.get(Axis.TILT, 0)),
         )
 
+    @property
+    def has_lost_steps(self) -> bool:
+        """Whether the unit has reported a loss of steps that was not yet taken over."""
+        return self._driver.lost_synchrony is not None
+
     def poll(self) -> UnitPresence:
         """Poll or identify the unit, if that is due."""
         if not self._pump.is_up(PTU_PORT) or self._driver.is_port_gone:
@@ -154,6 +159,6 @@ class UnitMonitor:
         self._unanswered_polls = self._failed_identifications = 0
 
     def _check_synchrony(self) -> None:
-        if self._driver.lost_synchrony is not None:
+        if self.has_lost_steps:
             self._persistent.steps_are_sure = False
             self._driver.forget_losses()
