@@ -2,7 +2,8 @@
 
 What to use when: one `PersistentState` per process. A service that systemd has restarted after
 a fault must not move a unit that was locked before. Only `gyrorigd clear` and a homing change
-that. If the file cannot be written, the process continues with the state in memory.
+that. If the file cannot be written, the process continues with the state in memory, and the
+status timer writes the file again each second (`StateFile`).
 """
 
 import json
@@ -10,10 +11,9 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from gyrorig_protocol.atomic_files import write_atomically
+from gyrorig_daemon.service.state_file import StateFile
 
 MAX_STATE_FILE_BYTES = 100_000
-STATE_FILE_MODE = 0o640
 UNREADABLE_STATE = "the daemon cannot read the state file of this rig"
 
 
@@ -35,10 +35,9 @@ class PersistentState:
             path: the file; a missing file means a new rig.
             utc_s: the present time.
         """
-        self._path = path
+        self.file = StateFile(path)
         self._motion_lock: MotionLock | None = None
         self._steps_are_sure = True
-        self.write_failures = 0
         try:
             with path.open("rb") as file:
                 self._read(json.loads(file.read(MAX_STATE_FILE_BYTES)))
@@ -82,7 +81,4 @@ class PersistentState:
     def _write(self) -> None:
         motion_lock = None if self._motion_lock is None else asdict(self._motion_lock)
         document = {"hold": motion_lock, "steps_are_sure": self._steps_are_sure}
-        try:
-            write_atomically(self._path, json.dumps(document).encode(), mode=STATE_FILE_MODE)
-        except OSError:
-            self.write_failures += 1
+        self.file.write(json.dumps(document).encode())

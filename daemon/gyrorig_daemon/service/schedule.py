@@ -11,14 +11,13 @@ time, or less than `MIN_INTERVAL_S` ago by the monotonic clock. Therefore a cloc
 does not start it twice, and a clock that was years ahead does not prevent later starts.
 """
 
-import contextlib
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from gyrorig_daemon.config.service_settings import ScheduleEntry
-from gyrorig_protocol.atomic_files import write_atomically
+from gyrorig_daemon.service.state_file import StateFile
 
 MAX_DELAY_S = 3_600.0  # a rig that is switched on later than this skips the day's session
 MIN_INTERVAL_S = 12 * 3_600.0
@@ -54,7 +53,7 @@ class Schedule:
             monotonic_s: the present time.
         """
         self.entries = tuple(entries)
-        self._state_path = state_path
+        self.file = StateFile(state_path)
         self._started_s = monotonic_s
         saved_times = _load_start_times(state_path)
         self._last_starts = {
@@ -77,7 +76,7 @@ class Schedule:
         return max(0.0, -overdue_s, self._last_starts[entry.name].not_before_s - monotonic_s)
 
     def record_start(self, name: str, monotonic_s: float, utc_s: float) -> None:
-        """Record that the session of an entry starts now; a failed write is tolerated."""
+        """Record that the session of an entry starts now."""
         start = self._last_starts[name]
         if not start.is_put_off:
             start.failed_attempts = 0
@@ -107,8 +106,7 @@ class Schedule:
         start_times = {
             key: value.utc_s for key, value in self._last_starts.items() if value.utc_s is not None
         }
-        with contextlib.suppress(OSError):
-            write_atomically(self._state_path, json.dumps(start_times).encode(), mode=0o640)
+        self.file.write(json.dumps(start_times).encode())
 
     def _overdue_s(self, entry: ScheduleEntry, monotonic_s: float, utc_s: float) -> float:
         """Return for how long an entry has been due; negative before it is due."""

@@ -41,6 +41,7 @@ class ServiceCounts:
     clock_steps: int = 0
     late_turns: int = 0
     log_lines_lost: int = 0
+    state_write_failures: int = 0
     clients: int = 0
     clients_slow: int = 0
     clients_refused: int = 0

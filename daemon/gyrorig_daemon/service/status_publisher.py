@@ -50,10 +50,23 @@ class StatusPublisher:
         if now_ns - self.due_ns > PUBLISH_PERIOD_NS:
             self._context.counts.late_turns += 1
         self.due_ns = now_ns + PUBLISH_PERIOD_NS
+        self._write_pending_state()
         document = self.document(now_ns)
         self._context.publish(document)
         reason = f": {document['reason']}" if document["reason"] else ""
         self._context.notifier.send_status(f"{document['state']}{reason}")
+
+    def _write_pending_state(self) -> None:
+        """Write the state files again that the disk has not accepted; count the failures.
+
+        Not while a unit may move: a failing disk can need seconds to refuse a write.
+        """
+        context = self._context
+        if self._state.summary.state == "running":
+            return
+        for file in (context.persistent.file, context.schedule.file):
+            file.write_pending()
+            context.counts.state_write_failures += file.take_failures()
 
     def document(self, now_ns: int) -> dict[str, Any]:
         """Return the status as of now."""

@@ -78,6 +78,8 @@ def count_losses(status: dict[str, Any]) -> dict[str, int]:
         losses_by_cause[f"messages {cause.replace('_', ' ')}"] = status["recorder"]["counts"].get(
             cause, 0
         )
+    # older services do not count them
+    losses_by_cause["state files not written"] = status["counts"].get("state_write_failures", 0)
     return {name: count for name, count in losses_by_cause.items() if count}
 
 

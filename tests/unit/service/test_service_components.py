@@ -138,7 +138,7 @@ def test_a_hold_and_a_doubt_are_remembered(tmp_path: Path) -> None:
         assert not held.steps_are_sure
     lost = PersistentState(tmp_path / "none" / "rig.json", 1.0)
     lost.motion_lock = MotionLock("x", 1.0)
-    assert (lost.motion_lock, lost.write_failures) == (MotionLock("x", 1.0), 1)
+    assert (lost.motion_lock, lost.file.take_failures()) == (MotionLock("x", 1.0), 1)
 
 
 def test_steps_of_the_wall_clock_are_told_from_slews() -> None:
