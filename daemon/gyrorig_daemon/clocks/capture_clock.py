@@ -6,11 +6,17 @@ the solver can identify a slew or a step.
 
 import contextlib
 import ctypes
+import math
+import os
 import time
 from dataclasses import dataclass
 from functools import cache
+from pathlib import Path
 
 ANCHOR_READINGS = 5
+STA_UNSYNC = 0x40  # <linux/timex.h>
+# systemd-timesyncd makes this file when it has set the clock. A sandbox can deny adjtimex(2).
+SYNCHRONISED_FILE = Path("/run/systemd/timesync/synchronized")
 _ADJTIMEX_FREQUENCY_UNIT = 65536.0  # <linux/timex.h>: ppm scaled by 2^16
 _TIMEX = ctypes.c_long * 64  # more than the structure's 208 bytes
 
@@ -42,6 +48,13 @@ class HostClocks:
     estimated_error_s: float
     ntp_status: int
 
+    @property
+    def is_synchronised(self) -> bool | None:
+        """Whether the system time follows UTC, None if the kernel does not tell this process."""
+        if not self.ntp_status & STA_UNSYNC:
+            return True
+        return None if math.isnan(self.frequency_ppm) else False
+
 
 def anchor_now() -> CaptureClock:
     """Return an anchor: the tightest of a few bracketed readings of both clocks."""
@@ -71,14 +84,17 @@ def read_host_clocks() -> HostClocks:
 
 
 def _adjtimex() -> tuple[float, float, int]:
-    """Return frequency in ppm, estimated error in s and status; nan without the system call."""
+    """Return frequency in ppm, estimated error in s and status.
+
+    Without the system call, both numbers are nan, and systemd-timesyncd decides about the status.
+    """
     with contextlib.suppress(OSError, AttributeError, TypeError):
         # struct timex, 64-bit: modes, offset, freq, maxerror, esterror, status (longs, with
         # the ints padded); modes 0 only reads
         words = _TIMEX()
         if _libc().adjtimex(ctypes.byref(words)) >= 0 and ctypes.sizeof(ctypes.c_long) == 8:
             return words[2] / _ADJTIMEX_FREQUENCY_UNIT, words[4] * 1e-6, words[5] & 0xFFFF_FFFF
-    return float("nan"), float("nan"), 0
+    return math.nan, math.nan, 0 if os.access(SYNCHRONISED_FILE, os.F_OK) else STA_UNSYNC
 
 
 @cache

@@ -8,12 +8,11 @@ import math
 import time
 from collections.abc import Iterator
 
-from gyrorig_daemon.clocks.capture_clock import HostClocks
+from gyrorig_daemon.clocks.capture_clock import STA_UNSYNC, HostClocks
 from gyrorig_daemon.doctor.finding import Finding, note, ok, warning
 from gyrorig_daemon.doctor.system_files import SystemFiles
 
 SUBJECT = "time"
-STA_UNSYNC = 0x0040  # <linux/timex.h>
 # 2026-01-01, before this program was written: a clock that shows less was never set
 EARLIEST_VALID_NS = 1_767_225_600 * 1_000_000_000
 LARGE_ERROR_S = 1.0

@@ -35,7 +35,6 @@ from gyrorig_daemon.service.service_context import (
 from gyrorig_daemon.service.service_loop import LoopExit, ServiceLoop
 from gyrorig_daemon.service.state_folder import StateFolder
 from gyrorig_daemon.service.status_server import Peer, StatusServer
-from gyrorig_daemon.service.system_clock_monitor import NTP_UNSYNCHRONISED
 from gyrorig_daemon.service.systemd_notifier import SystemdNotifier
 from gyrorig_daemon.session.connected_rig import Rig
 from gyrorig_daemon.session.emulation_options import EmulationOptions
@@ -327,5 +326,5 @@ class ServiceProcess:
 
 
 def _valid_utc_s() -> float | None:
-    """Return the system time, None while the kernel does not know whether it is right."""
-    return None if read_host_clocks().ntp_status & NTP_UNSYNCHRONISED else time.time()
+    """Return the system time, None while it is not known to be right."""
+    return time.time() if read_host_clocks().is_synchronised else None

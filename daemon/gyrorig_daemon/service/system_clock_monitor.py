@@ -12,7 +12,6 @@ from gyrorig_daemon.clocks.capture_clock import HostClocks
 
 STEP_THRESHOLD_S = 0.1  # a slew is at most 500 ppm (adjtimex(2)): 0.0005 s between two checks
 CHECK_PERIOD_NS = 1_000_000_000
-NTP_UNSYNCHRONISED = 0x40  # STA_UNSYNC of <linux/timex.h>
 EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 # Messages have 32-bit seconds (ROS 2 builtin_interfaces/Time). A session can take a week.
 RECORDABLE_S = (0, 2**31 - 1 - 7 * 86_400)
@@ -64,9 +63,5 @@ class SystemClockMonitor:
 
     @property
     def is_synchronised(self) -> bool | None:
-        """Whether the kernel reports a synchronised clock, None before the first check."""
-        return (
-            None
-            if self.last_reading is None
-            else not self.last_reading.ntp_status & NTP_UNSYNCHRONISED
-        )
+        """Whether the system time follows UTC, None if that is not known."""
+        return None if self.last_reading is None else self.last_reading.is_synchronised

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from gyrorig_daemon.clocks.capture_clock import HostClocks
+from gyrorig_daemon.clocks.capture_clock import STA_UNSYNC, HostClocks
 from gyrorig_daemon.config.service_settings import ScheduleEntry, ServiceSettings
 from gyrorig_daemon.doctor import disk_check, port_check
 from gyrorig_daemon.doctor.capacity_forecast import (
@@ -17,7 +17,7 @@ from gyrorig_daemon.doctor.capacity_forecast import (
     check_capacity,
     check_schedule_can_run,
 )
-from gyrorig_daemon.doctor.clock_check import STA_UNSYNC, check_clocks
+from gyrorig_daemon.doctor.clock_check import check_clocks
 from gyrorig_daemon.doctor.computer_check import check_computer
 from gyrorig_daemon.doctor.disk_check import DiskMeasurement, check_disk
 from gyrorig_daemon.doctor.finding import EXIT_CODES, Finding, Level, worst
