@@ -297,9 +297,11 @@ class Session:
         try:
             board.identify()  # returns at once: the board is known
             metadata = {f"gyrorig.board.{board.board_id}": board.metadata()}
-        except DeviceError as fault:
+        except PortsGoneError:
+            raise
+        except GyrorigError as fault:  # the recording of the other boards goes on
             self._rejected_boards.append(board)
-            self.fault(f"board {board.board_id} cannot take part. {fault}")
+            self.fault(f"board {board.board_id} cannot take part. {sentence(str(fault))}")
             return
         self._board_ids.add(board.board_id)
         self.boards.append(board)

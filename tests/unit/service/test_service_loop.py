@@ -12,6 +12,7 @@ from gyrorig_daemon.recorder import Recorder
 from gyrorig_daemon.service.persistent_state import PersistentState
 from gyrorig_daemon.service.service_loop import LoopExit
 from gyrorig_daemon.session.session import Session
+from gyrorig_protocol.errors import GyrorigError, MachineError, UsageError
 from gyrorig_protocol.recording.messages import EventKind, SessionEvent
 from gyrorig_protocol.recording.reader import read_recording
 from gyrorig_protocol.recording.recording import Recording
@@ -26,6 +27,15 @@ SCHEDULED = (
     "boards: [{id: B-1, port: emulated, baud: 460800}]\nemulator: {command_time_ms: 5.0}\n"
     "schedule: [{name: often, program: short.yaml, every_h: 0.01}]\n"
 )
+TWO_BOARDS = """
+rig: test
+ptu: {port: emulated, baud: 115200, poll: {rate_hz: 10}}
+boards:
+  - {id: B-1, port: emulated, baud: 460800}
+  - {id: B-2, port: emulated, baud: 460800}
+emulator: {command_time_ms: 5.0}
+service: {board_patience_s: 5.0}
+"""
 
 
 def events(recording: Recording) -> list[SessionEvent]:
@@ -243,16 +253,7 @@ def test_a_program_that_does_not_fit_is_refused_before_it_moves(
 
 
 def test_a_board_that_is_missing_is_waited_for_and_then_left_out(make_bench: Make) -> None:
-    text = """
-rig: test
-ptu: {port: emulated, baud: 115200, poll: {rate_hz: 10}}
-boards:
-  - {id: B-1, port: emulated, baud: 460800}
-  - {id: B-2, port: emulated, baud: 460800}
-emulator: {command_time_ms: 5.0}
-service: {board_patience_s: 5.0}
-"""
-    bench = make_bench(text)
+    bench = make_bench(TWO_BOARDS)
     bench.hub.unplug("board:B-2", bench.hub.now_ns(), bench.hub.now_ns() + 14_000_000_000)
     bench.put("name: p\nsteps:\n  - rest: {seconds: 20.0}\n  - move: {pan_deg: 5.0}\n", session="s")
     bench.serve(60.0)
@@ -264,6 +265,31 @@ service: {board_patience_s: 5.0}
     first = recording.array("/board/B-1/imu_raw")
     assert 500 < len(rows) < len(first) - 500
     assert any("takes part from now on" in e.text for e in events(recording))
+
+
+@pytest.mark.parametrize("error_class", [UsageError, MachineError])
+def test_a_board_that_joins_late_and_cannot_take_part_is_left_out(
+    make_bench: Make, monkeypatch: pytest.MonkeyPatch, error_class: type[GyrorigError]
+) -> None:
+    bench = make_bench(TWO_BOARDS)
+    board = next(b for b in bench.opened.boards if str(b.board_id) == "B-2")
+    metadata = type(board).metadata
+
+    def refuse(link: Any) -> Any:
+        if link is board:
+            raise error_class("board B-2 has no gyroscope", "check its firmware")
+        return metadata(link)
+
+    monkeypatch.setattr(type(board), "metadata", refuse)
+    bench.hub.unplug("board:B-2", bench.hub.now_ns(), bench.hub.now_ns() + 14_000_000_000)
+    bench.put("name: p\nsteps:\n  - rest: {seconds: 20.0}\n  - move: {pan_deg: 5.0}\n")
+    bench.serve(60.0, bench.ended("done", 1))
+    assert bench.results("failed") == []
+    recording = read_recording(*bench.recordings())
+    (fault,) = [event for event in events(recording) if event.kind == EventKind.FAULT]
+    assert "board B-2 cannot take part. Board B-2 has no gyroscope" in fault.text
+    assert "gyrorig.board.B-2" not in recording.metadata
+    assert len(recording.array("/board/B-1/imu_raw")) > 2000
 
 
 def test_a_disk_without_room_is_waited_for(make_bench: Make) -> None:
