@@ -122,9 +122,8 @@ def to_prometheus_text(status: dict[str, Any]) -> str:
             described.add(full_name)
             lines += [f"# HELP {full_name} {help_text}", f"# TYPE {full_name} {kind}"]
         label_text = ",".join(f'{key}="{text.translate(_ESCAPES)}"' for key, text in labels.items())
-        lines.append(
-            f"{full_name}{{{label_text}}} {value:g}" if label_text else f"{full_name} {value:.17g}"
-        )
+        label_part = f"{{{label_text}}}" if label_text else ""
+        lines.append(f"{full_name}{label_part} {value:.17g}")
     return "\n".join(lines) + "\n"
 
 

@@ -212,6 +212,17 @@ def test_the_metrics_are_what_prometheus_reads(make_bench: Make, tmp_path: Path)
     assert writer.path.read_text() == text
 
 
+def test_metrics_have_all_digits(make_bench: Make) -> None:
+    bench = make_bench()
+    bench.serve(2.0)
+    status = bench.statuses[-1]
+    status["boards"][0]["counts"]["samples"] = 69_120_049
+    status["acquisition_dropped_bytes"] = 12_345_678
+    lines = to_prometheus_text(status).splitlines()
+    assert 'gyrorig_board_line_total{board="B-1",cause="samples"} 69120049' in lines
+    assert "gyrorig_acquisition_dropped_bytes_total 12345678" in lines
+
+
 def test_a_disk_that_refuses_metrics_is_counted(make_bench: Make, tmp_path: Path) -> None:
     bench = make_bench()
     bench.serve(2.0)
