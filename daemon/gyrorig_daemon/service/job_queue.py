@@ -30,6 +30,7 @@ from pathlib import Path
 from typing import Any
 
 from gyrorig_daemon.service.jobs import MAX_JOB_BYTES, SessionJob, parse_job
+from gyrorig_daemon.service.state_folder import tolerate_unwritable_disk
 from gyrorig_protocol.errors import GyrorigError, MachineError, UsageError
 
 INTERRUPTED = (
@@ -62,9 +63,10 @@ class JobQueue:
         self._names: list[str] = []
         self._names_mtime_ns = -1
         try:
-            folder.mkdir(parents=True, exist_ok=True)
-            with contextlib.suppress(PermissionError):  # another user owns the folder
-                folder.chmod(FOLDER_MODE)
+            with tolerate_unwritable_disk():
+                folder.mkdir(parents=True, exist_ok=True)
+            with contextlib.suppress(PermissionError), tolerate_unwritable_disk():
+                folder.chmod(FOLDER_MODE)  # unless another user owns the folder
             self._inbox_fd = os.open(folder, _FOLDER_FLAGS)
             self._fds = {name: self._open_own_folder(name) for name in FOLDERS}
         except OSError as error:
@@ -139,7 +141,7 @@ class JobQueue:
             OSError: it cannot be opened.
             MachineError: it is not the daemon's.
         """
-        with contextlib.suppress(FileExistsError):
+        with contextlib.suppress(FileExistsError), tolerate_unwritable_disk():
             os.mkdir(name, OWN_FOLDER_MODE, dir_fd=self._inbox_fd)
         try:
             descriptor = os.open(name, _FOLDER_FLAGS, dir_fd=self._inbox_fd)
@@ -152,7 +154,7 @@ class JobQueue:
             os.close(descriptor)
             raise self._foreign_folder_error(name)
         if status.st_mode & 0o022:  # others could exchange its files
-            with contextlib.suppress(PermissionError):
+            with contextlib.suppress(PermissionError), tolerate_unwritable_disk():
                 os.fchmod(descriptor, stat.S_IMODE(status.st_mode) & ~0o022)
         return descriptor
 

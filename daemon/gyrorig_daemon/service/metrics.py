@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from gyrorig_daemon.service.recording_policy import is_cumulative
-from gyrorig_daemon.service.state_folder import apply_umask
+from gyrorig_daemon.service.state_folder import apply_umask, tolerate_unwritable_disk
 from gyrorig_protocol.atomic_files import write_atomically
 from gyrorig_protocol.errors import MachineError
 
@@ -48,7 +48,8 @@ class MetricsWriter:
             MachineError: the folder cannot be created.
         """
         try:
-            folder.mkdir(parents=True, exist_ok=True)
+            with tolerate_unwritable_disk():  # the thread tries again
+                folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise MachineError(
                 f"the metrics cannot be written to the folder {folder} ({error.strerror})",

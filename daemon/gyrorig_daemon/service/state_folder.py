@@ -8,18 +8,24 @@
     schedule.json      when each entry of the schedule last started
     rig.json           the motion lock, and whether the step count is reliable
 
-What to use when: open the `StateFolder` first. A process that does not get the lock must end.
+What to use when: open the `StateFolder` first. A process that does not get the lock must end. A
+full or read-only disk is no reason to end, because the unit must be halted: the main loop then
+waits for the disk.
 """
 
+import contextlib
+import errno
 import fcntl
 import os
 import re
+from collections.abc import Iterator
 from pathlib import Path
 from types import TracebackType
 
 from gyrorig_protocol.errors import BusyError, MachineError
 
 DEFAULT_STATE_FOLDER = Path("/var/lib/gyrorig")  # StateDirectory= of the systemd unit
+UNWRITABLE = (errno.ENOSPC, errno.EDQUOT, errno.EROFS)  # codes of a full or read-only disk
 SUBFOLDERS = ("recordings", "queue", "experiments", "metrics")
 
 
@@ -40,6 +46,16 @@ def apply_umask(mode: int) -> int:
     status = Path("/proc/self/status").read_text(encoding="ascii", errors="replace")
     match = re.search(r"^Umask:\s*([0-7]+)", status, re.MULTILINE)
     return mode & ~int(match[1], 8) if match else mode
+
+
+@contextlib.contextmanager
+def tolerate_unwritable_disk() -> Iterator[None]:
+    """Ignore the errors of a full or read-only disk."""
+    try:
+        yield
+    except OSError as error:
+        if error.errno not in UNWRITABLE:
+            raise
 
 
 class StateFolder:
@@ -64,12 +80,14 @@ class StateFolder:
         lock_path = self.root / "lock"
         try:
             for folder in (self.root, self.recordings, self.queue):
-                folder.mkdir(parents=True, exist_ok=True)
-            flags = os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC
-            self._lock = os.open(lock_path, flags, 0o640)
+                with tolerate_unwritable_disk():
+                    folder.mkdir(parents=True, exist_ok=True)
+            self._lock, is_writable = _open_lock(lock_path)
             fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            os.ftruncate(self._lock, 0)
-            os.write(self._lock, f"{os.getpid()}\n".encode())
+            if is_writable:
+                with tolerate_unwritable_disk():  # the number only informs people and `is_in_use`
+                    os.ftruncate(self._lock, 0)
+                    os.write(self._lock, f"{os.getpid()}\n".encode())
         except BlockingIOError as error:
             holder = self._release_and_read_holder(lock_path)
             raise BusyError(
@@ -111,3 +129,17 @@ class StateFolder:
         except (OSError, ValueError):
             return ""
         return f" (process {pid})" if pid.isdecimal() else ""
+
+
+def _open_lock(path: Path) -> tuple[int, bool]:
+    """Open the lock file, or its folder if the disk cannot hold the file; tell if it is writable.
+
+    Raises:
+        OSError: neither can be opened.
+    """
+    flags = os.O_NOFOLLOW | os.O_CLOEXEC
+    with tolerate_unwritable_disk():
+        return os.open(path, flags | os.O_RDWR | os.O_CREAT, 0o640), True
+    with contextlib.suppress(FileNotFoundError):
+        return os.open(path, flags | os.O_RDONLY), False
+    return os.open(path.parent, flags | os.O_RDONLY | os.O_DIRECTORY), False
