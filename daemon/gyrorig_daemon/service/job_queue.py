@@ -41,6 +41,7 @@ MAX_KEPT_RESULTS = 1_000  # in done/ and in failed/ each
 MAX_KEPT_STEM = 200  # characters of the name of a job that gets a new name
 MAX_SCANNED = 4_096  # entries of the folder; the others are seen when these are gone
 MAX_REJECTED_AT_ONCE = 16  # files of one call; the event loop waits for it
+MAX_REJECTION_S = 0.5  # no further file is read in the same call after this time
 MTIME_STEP_NS = 100_000_000  # two changes of a folder within this time can have one mtime
 FOLDER_MODE = 0o3770  # the daemon's group can add jobs; sticky: each member removes only its own
 OWN_FOLDER_MODE = 0o750
@@ -87,9 +88,10 @@ class JobQueue:
         A file that is not a valid job is moved to `failed`, and the next one is read, unless
         there are many of them.
         """
-        rejected_before = self.rejected_count
+        rejected_before, end_s = self.rejected_count, time.monotonic() + MAX_REJECTION_S
         for name in self._waiting_names():
-            if self.rejected_count - rejected_before >= MAX_REJECTED_AT_ONCE:
+            rejected = self.rejected_count - rejected_before
+            if rejected >= MAX_REJECTED_AT_ONCE or (rejected and time.monotonic() > end_s):
                 break
             running = self._folder / "running" / name
             try:
@@ -251,8 +253,9 @@ def _read_regular(name: str, folder_fd: int) -> bytes:
             )
         if status.st_size > MAX_JOB_BYTES:
             raise UsageError(
-                f"the job {name} in the queue is larger than 1 MB",
-                "remove the file, and add a motion program with `gyrorigd enqueue`",
+                f"the job {name} in the queue has {status.st_size} bytes, and the daemon takes at "
+                f"most {MAX_JOB_BYTES}",
+                "write repeated steps with `repeat`, or divide the program into several jobs",
             )
         data = bytearray()
         while chunk := os.read(descriptor, MAX_JOB_BYTES + 1 - len(data)):

@@ -18,10 +18,13 @@ from gyrorig_protocol.atomic_files import write_atomically
 from gyrorig_protocol.documents import convert_document, dump_yaml, parse_yaml
 from gyrorig_protocol.errors import InputError, MachineError, UsageError
 from gyrorig_protocol.identity import BoardId
-from gyrorig_protocol.program import MotionProgram, parse_program
+from gyrorig_protocol.program import MotionProgram, Step, parse_program
 
 SCHEMA = "gyrorig/job/1"
-MAX_JOB_BYTES = 1_000_000
+# The main loop reads and plans a job, and may be late by at most 3 s: then the acquisition process
+# halts the unit. A Raspberry Pi needs at most 0.5 s to read a job and 1.5 s to plan it.
+MAX_JOB_BYTES = 64_000
+MAX_JOB_STEPS = 20_000  # with all repeats
 JOB_MODE = 0o660
 DEFAULT_MINUTES = 30.0
 MAX_MINUTES = 1_440.0
@@ -101,9 +104,11 @@ def enqueue_job(
         document["until_named"] = msgspec.to_builtins(until_named)
     stem = "".join(c if c.isalnum() else "-" for c in program.name)[:32].strip("-") or "job"
     submitted_at = datetime.now(UTC)
+    job_text = dump_yaml(document).encode()
+    _check_size(job_text, name)
     path = queue / f"{submitted_at:%Y%m%dT%H%M%S%f}Z-{secrets.token_hex(2)}-{stem}.yaml"
     try:
-        write_atomically(path, dump_yaml(document).encode(), mode=apply_umask(JOB_MODE))
+        write_atomically(path, job_text, mode=apply_umask(JOB_MODE))
     except OSError as error:
         raise MachineError(
             f"the job cannot be written to the queue {queue} ({error.strerror})",
@@ -140,9 +145,16 @@ def parse_safe_program(text: bytes, name: str) -> MotionProgram:
     """Return a program whose name can be logged and shown.
 
     Raises:
-        UsageError: the program is invalid, or its name has control characters.
+        UsageError: the program is invalid or too long, or its name has control characters.
     """
     program = parse_program(text, name)
+    steps = _count_steps(program.steps)
+    if steps > MAX_JOB_STEPS:
+        raise UsageError(
+            f"the motion program {name} has {steps} steps with all repeats, and the daemon takes "
+            f"at most {MAX_JOB_STEPS}",
+            "divide the program into several jobs",
+        )
     if _CONTROLS.search(program.name):
         raise UsageError(
             f"the name in the motion program {name} has control characters",
@@ -151,12 +163,30 @@ def parse_safe_program(text: bytes, name: str) -> MotionProgram:
     return program
 
 
+def _check_size(text: bytes, name: str) -> None:
+    if len(text) > MAX_JOB_BYTES:
+        raise UsageError(
+            f"{name} makes a job of {len(text)} bytes, and the daemon takes at most "
+            f"{MAX_JOB_BYTES}",
+            "write repeated steps with `repeat`, or divide the program into several jobs",
+        )
+
+
+def _count_steps(steps: tuple[Step, ...]) -> int:
+    """Return the number of steps with all repeats."""
+    return sum(
+        1 if step.repeat is None else step.repeat.times * _count_steps(step.repeat.steps)
+        for step in steps
+    )
+
+
 def parse_job(text: bytes, name: str, path: Path | None = None) -> SessionJob:
     """Return the job that a document describes.
 
     Raises:
         UsageError: the document is not a valid job.
     """
+    _check_size(text, name)
     document = parse_yaml(text, name, schema=SCHEMA)
     if isinstance(document, dict) and str(document.get("schema", "")) != SCHEMA:
         job_document = JobDocument(program=_decode_program(text, name))

@@ -10,6 +10,7 @@ import pytest
 from gyrorig_daemon.service import job_queue
 from gyrorig_daemon.service.job_queue import JobQueue
 from gyrorig_daemon.service.jobs import MAX_JOB_BYTES, enqueue_job, parse_job
+from gyrorig_protocol.documents import dump_yaml
 from gyrorig_protocol.errors import MachineError, UsageError
 
 PROGRAM = b"name: short\nsteps:\n  - rest: {seconds: 1.0}\n"
@@ -105,6 +106,54 @@ def test_what_is_no_job_is_put_aside_and_the_next_one_taken(tmp_path: Path) -> N
     assert all(reasons(tmp_path))
     assert (tmp_path / ".hidden.yaml").exists()
     assert Path("/etc/passwd").exists()
+
+
+MANY_MOVES = "".join(
+    f"  - move: {{pan_deg: {n % 90}.5, speed_deg_s: 40.0}}\n" for n in range(9_000)
+)
+LONG = {
+    "many bytes": f"name: p\nsteps:\n{MANY_MOVES}".encode(),
+    "many steps": b"name: p\nsteps:\n  - repeat:\n      times: 10\n      steps:\n"
+    b"        - repeat: {times: 3000, steps: [{rest: {seconds: 1.0}}]}\n",
+}
+
+
+@pytest.mark.parametrize("text", LONG.values(), ids=LONG)
+@pytest.mark.parametrize("is_wrapped", [False, True], ids=["program", "job"])
+def test_a_job_that_takes_too_long_to_read_is_refused(
+    tmp_path: Path, text: bytes, is_wrapped: bool
+) -> None:
+    queue = JobQueue(tmp_path)
+    with pytest.raises(UsageError, match="the daemon takes at most") as refusal:
+        enqueue_job(tmp_path, text, "p.yaml")
+    assert "divide the program into several jobs" in refusal.value.remedy
+    if is_wrapped:
+        text = dump_yaml({"schema": "gyrorig/job/1", "program": text.decode()}).encode()
+    (tmp_path / "p.yaml").write_bytes(text)
+    begun_s = time.process_time()
+    assert queue.take_next() is None
+    assert time.process_time() - begun_s < 0.25  # a Raspberry Pi takes four times as long
+    assert "the daemon takes at most" in reasons(tmp_path)[0]
+
+
+def test_the_largest_job_is_read_at_once(tmp_path: Path) -> None:
+    text = LONG["many bytes"][:MAX_JOB_BYTES]
+    (tmp_path / "p.yaml").write_bytes(text[: text.rindex(b"\n") + 1])
+    queue = JobQueue(tmp_path)
+    begun_s = time.process_time()
+    assert queue.take_next() is not None
+    assert time.process_time() - begun_s < 0.5  # of 3 s, after which the unit is halted
+
+
+def test_invalid_jobs_are_read_for_a_short_time_only(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(job_queue, "MAX_REJECTION_S", 0.0)
+    for number in range(5):
+        (tmp_path / f"{number}.yaml").write_bytes(b"[}")
+    queue = JobQueue(tmp_path)
+    assert queue.take_next() is None
+    assert queue.rejected_count == 1
 
 
 def test_a_job_that_ran_when_the_daemon_died_is_not_begun_again(tmp_path: Path) -> None:
