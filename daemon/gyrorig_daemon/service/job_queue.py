@@ -39,7 +39,8 @@ INTERRUPTED = (
 )
 MAX_KEPT_RESULTS = 1_000  # in done/ and in failed/ each
 MAX_KEPT_STEM = 200  # characters of the name of a job that gets a new name
-MAX_SCANNED = 4_096  # entries of the folder; the others are seen when these are gone
+MAX_JOBS = 4_096  # waiting jobs; the others are seen when these are gone
+MAX_SCANNED = 100_000  # entries of the folder; reading them takes 0.1 s
 MAX_REJECTED_AT_ONCE = 16  # files of one call; the event loop waits for it
 MAX_REJECTION_S = 0.5  # no further file is read in the same call after this time
 MTIME_STEP_NS = 100_000_000  # two changes of a folder within this time can have one mtime
@@ -47,6 +48,7 @@ FOLDER_MODE = 0o3770  # the daemon's group can add jobs; sticky: each member rem
 OWN_FOLDER_MODE = 0o750
 FOLDERS = ("running", "done", "failed")
 RESULT_MODE = 0o640
+RESULT_SUFFIX = ".result.json"
 
 
 class JobQueue:
@@ -75,11 +77,11 @@ class JobQueue:
                 f"the folder {folder} cannot be used for the queue ({error.strerror})",
                 "choose another folder with --state",
             ) from error
-        for name in _job_names(self._fds["running"]):
+        for name in _names(self._fds["running"], ".yaml"):
             self._archive(self._folder / "running" / name, "failed", {"reason": INTERRUPTED})
 
     def waiting_jobs(self) -> list[str]:
-        """Return the names of the waiting jobs, the next one first; at most `MAX_SCANNED`."""
+        """Return the names of the waiting jobs, the next one first; at most `MAX_JOBS`."""
         return [name.removesuffix(".yaml") for name in self._waiting_names()]
 
     def take_next(self) -> SessionJob | None:
@@ -96,19 +98,18 @@ class JobQueue:
             running = self._folder / "running" / name
             try:
                 self._move(name, self._inbox_fd, "running")
+            except FileNotFoundError:
+                continue  # withdrawn since the folder was read
+            except OSError as error:
+                self._reject_unreadable(running, error)
+                continue
+            try:
                 text = _read_regular(name, self._fds["running"])
                 return parse_job(text, name, running)
             except GyrorigError as error:
                 self._reject(running, str(error))
             except (OSError, ValueError) as error:
-                error_text = getattr(error, "strerror", None) or error
-                remedy = (
-                    "Give the group of the daemon permission to read the file, and enqueue the "
-                    "job again."
-                )
-                self._reject(
-                    running, f"The file of the job cannot be read ({error_text}). {remedy}"
-                )
+                self._reject_unreadable(running, error)
         return None
 
     def finish(self, job: SessionJob, succeeded: bool, result: Mapping[str, Any]) -> None:
@@ -170,7 +171,7 @@ class JobQueue:
         """Return the waiting files in order; the folder is read only if it has changed."""
         mtime_ns = os.fstat(self._inbox_fd).st_mtime_ns
         if mtime_ns != self._names_mtime_ns:
-            names = _job_names(self._inbox_fd)
+            names = _names(self._inbox_fd, ".yaml")
             is_settled = time.time_ns() - mtime_ns > MTIME_STEP_NS
             self._names, self._names_mtime_ns = names, mtime_ns if is_settled else -1
         return [name for name in self._names if name not in self._unmovable]
@@ -178,8 +179,10 @@ class JobQueue:
     def _move(self, name: str, source_fd: int, target: str) -> None:
         try:
             os.rename(name, name, src_dir_fd=source_fd, dst_dir_fd=self._fds[target])
+        except FileNotFoundError:
+            raise
         except OSError:
-            if len(self._unmovable) < MAX_SCANNED:
+            if len(self._unmovable) < MAX_JOBS:
                 self._unmovable.add(name)  # such as the folder of another user
             raise
 
@@ -187,33 +190,43 @@ class JobQueue:
         self.rejected_count += 1
         self._archive(path, "failed", {"reason": reason}, durable=False)
 
+    def _reject_unreadable(self, path: Path, error: Exception) -> None:
+        error_text = getattr(error, "strerror", None) or error
+        self._reject(
+            path,
+            f"The file of the job cannot be read ({error_text}). Give the group of the daemon "
+            "permission to read the file, and enqueue the job again.",
+        )
+
     def _archive(
         self, path: Path, outcome: str, result: Mapping[str, Any], durable: bool = True
     ) -> None:
         target = self._fds[outcome]
         document = {"schema": "gyrorig/job-result/1", "job": path.stem, "result": outcome, **result}
         with contextlib.suppress(OSError):  # on a full disk the job is moved at least
-            _write_in(target, f"{path.stem}.result.json", json.dumps(document).encode(), durable)
+            _write_in(target, f"{path.stem}{RESULT_SUFFIX}", json.dumps(document).encode(), durable)
         with contextlib.suppress(OSError):
             os.rename(path.name, path.name, src_dir_fd=self._fds["running"], dst_dir_fd=target)
-        names = _job_names(target)
-        for name in names[: max(0, len(names) - MAX_KEPT_RESULTS)]:
-            with contextlib.suppress(OSError):
-                os.unlink(name, dir_fd=target)
-                os.unlink(f"{Path(name).stem}.result.json", dir_fd=target)
+        results = {name.removesuffix(RESULT_SUFFIX) for name in _names(target, RESULT_SUFFIX)}
+        stems = sorted(results | {Path(name).stem for name in _names(target, ".yaml")})
+        for stem in stems[: max(0, len(stems) - MAX_KEPT_RESULTS)]:
+            for name in (f"{stem}.yaml", f"{stem}{RESULT_SUFFIX}"):
+                with contextlib.suppress(OSError):  # a rejected job can have one of both only
+                    os.unlink(name, dir_fd=target)
 
 
 _FOLDER_FLAGS = os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_CLOEXEC
 
 
-def _job_names(folder_fd: int) -> list[str]:
-    """Return the names of job files in alphabetical order."""
+def _names(folder_fd: int, suffix: str) -> list[str]:
+    """Return at most `MAX_JOBS` names that end so, in alphabetical order."""
     try:
         with os.scandir(folder_fd) as entries:
-            names = [entry.name for entry in itertools.islice(entries, MAX_SCANNED)]
+            names = (entry.name for entry in itertools.islice(entries, MAX_SCANNED))
+            wanted = (n for n in names if n.endswith(suffix) and not n.startswith("."))
+            return sorted(itertools.islice(wanted, MAX_JOBS))
     except OSError:
         return []
-    return sorted(name for name in names if name.endswith(".yaml") and not name.startswith("."))
 
 
 def _write_in(folder_fd: int, name: str, data: bytes, durable: bool) -> None:

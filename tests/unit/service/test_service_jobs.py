@@ -4,6 +4,7 @@ import json
 import os
 import time
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -267,10 +268,57 @@ def test_a_great_many_files_cost_little_time(tmp_path: Path) -> None:
     queue.waiting_jobs()
     begun_s = time.process_time()
     for _ in range(20):
-        assert len(queue.waiting_jobs()) <= job_queue.MAX_SCANNED
+        assert len(queue.waiting_jobs()) <= job_queue.MAX_JOBS
     assert (time.process_time() - begun_s) / 20 < 0.01  # the event loop waits for it
     assert queue.take_next() is None
     assert queue.rejected_count == job_queue.MAX_REJECTED_AT_ONCE
+
+
+def test_dot_files_hide_no_job(tmp_path: Path) -> None:
+    queue = JobQueue(tmp_path)
+    for number in range(12_288):
+        os.close(os.open(tmp_path / f".x{number}", os.O_CREAT | os.O_WRONLY))
+    (tmp_path / "job.yaml").write_bytes(PROGRAM)
+    assert queue.waiting_jobs() == ["job"]
+
+
+def test_a_job_withdrawn_while_it_is_taken_can_come_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    queue = JobQueue(tmp_path)
+    path = tmp_path / "a.yaml"
+    path.write_bytes(PROGRAM)
+    rename = os.rename
+
+    def withdraw_first(*names: Any, **folders: Any) -> None:
+        path.unlink(missing_ok=True)
+        rename(*names, **folders)
+
+    with monkeypatch.context() as withdrawn:
+        withdrawn.setattr(os, "rename", withdraw_first)
+        assert queue.take_next() is None
+    assert (queue.rejected_count, reasons(tmp_path)) == (0, [])
+    path.write_bytes(PROGRAM)
+    job = queue.take_next()
+    assert job is not None
+    assert job.name == "a"
+
+
+def test_results_without_a_job_are_thinned_out(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(job_queue, "MAX_KEPT_RESULTS", 3)
+    queue = JobQueue(tmp_path)
+    for number in range(6):
+        (tmp_path / "failed" / f"{number}.result.json").touch()
+    (tmp_path / "9.yaml").write_bytes(b"[}")
+    assert queue.take_next() is None
+    assert sorted(path.name for path in (tmp_path / "failed").iterdir()) == [
+        "4.result.json",
+        "5.result.json",
+        "9.result.json",
+        "9.yaml",
+    ]
 
 
 def test_a_job_that_comes_right_after_a_look_is_seen(tmp_path: Path) -> None:
