@@ -51,7 +51,7 @@ EXPECTED = {
     "held": "fault",
     "steps_are_sure": "True",
     "waiting": "0",  # the session that was broken off is not begun again
-    "cleared": "The motion lock is released.",
+    "cleared": "The motion lock is being released. `gyrorigd status` shows the result.",
     "after_the_jump": "running",
 }
 

@@ -64,7 +64,11 @@ class OperatorRequests:
         self.stop.request(reason)
 
     def request_halt(self, requester: str) -> None:
-        """Request a halt and a motion lock; the service continues."""
+        """Request a halt and a motion lock; the service continues.
+
+        A release that is requested later applies to this lock, an earlier one does not.
+        """
+        self.clear.clear()
         self.stop.request(f"an operator's halt ({requester})")
 
     def acknowledge_stop(self) -> bool:

@@ -317,7 +317,7 @@ class ServiceProcess:
             return "The unit is being halted. `gyrorigd status` shows when it has stopped."
         if command == "clear":
             self._requests.clear.set()
-            return "The motion lock is released."
+            return "The motion lock is being released. `gyrorigd status` shows the result."
         self._requests.reload.set()
         return "The configuration is being read again. The log shows the result."
 

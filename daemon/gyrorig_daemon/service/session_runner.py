@@ -132,7 +132,6 @@ class SessionRunner:
         persistent = self._context.persistent
         motion_lock = persistent.motion_lock
         if motion_lock is None:
-            self._context.requests.clear.clear()  # an earlier request does not apply to this fault
             motion_lock = MotionLock(reason, self._context.clocks.utc_s())
         persistent.store(motion_lock, self._are_steps_sure())
 
@@ -246,6 +245,7 @@ class SessionRunner:
         self._context.counts.motion_faults += 1
         self._pump.ignore_stop()
         problems = session.abort(fault.problem)
+        self._context.requests.clear.clear()  # an earlier request does not apply to this fault
         self.lock_motion(fault.problem)
         limit_s = self._rig.config.service.aftermath_s
         aftermath_s = min(max(planned_s, MIN_AFTERMATH_S), limit_s)

@@ -220,6 +220,22 @@ def test_an_operators_halt_stops_the_session_and_holds(make_bench: Make) -> None
     assert len(bench.recordings()) == 2
 
 
+@pytest.mark.parametrize("is_cleared_last", [True, False])
+def test_a_halt_and_its_release_are_carried_out_in_order(
+    make_bench: Make, is_cleared_last: bool
+) -> None:
+    bench = make_bench()
+    bench.put(FAR)
+    first_s, last_s = 6.0, 6.05
+    halt_s, clear_s = (first_s, last_s) if is_cleared_last else (last_s, first_s)
+    bench.at(halt_s, lambda: bench.orders.request_halt("user 0"))
+    bench.at(clear_s, bench.orders.clear.set)
+    bench.serve(14.0)
+    assert bench.parts.counts.sessions_stopped == 1
+    assert bench.state_at(12.0)["state"] == ("ready" if is_cleared_last else "fault")
+    assert (bench.parts.persistent.motion_lock is None) == is_cleared_last
+
+
 def test_an_operators_halt_between_sessions(make_bench: Make) -> None:
     bench = make_bench()
     bench.at(4.0, lambda: bench.orders.request_halt("user 0"))
