@@ -1,9 +1,9 @@
 """Part files: metadata and attachments are repeated, so that each part is self-contained.
 
 What to use when: under `part_writer`. `PartOpener` creates parts; `NextPart` has the next one
-created in the disk thread; `PartCloser` has them closed there; `SpaceCheck` asks there for the free
-space; `part_path` names them; `SessionMetadata` is their metadata and attachments. The session
-state at the start of a part comes from `state_replay`.
+created in the disk thread; `PartCloser` has those that are closed there; `SpaceCheck` asks there
+for the free space; `part_path` names them; `SessionMetadata` is their metadata and attachments. The
+session state at the start of a part comes from `state_replay`.
 """
 
 import threading
@@ -225,12 +225,12 @@ class SpaceCheck:
 
 
 class PartCloser:
-    """Closes files in the disk thread and gives them their final names."""
+    """The files that the disk thread closes and gives their final names."""
 
     MAX_WAITING = 4  # with more files waiting the disk hardly works
 
-    def __init__(self, worker: DiskWorker, counts: RecorderCounts) -> None:
-        self._worker, self._counts = worker, counts
+    def __init__(self, counts: RecorderCounts) -> None:
+        self._counts = counts
         self._jobs: list[Future[Path]] = []
 
     @property
@@ -238,9 +238,9 @@ class PartCloser:
         """Whether no more files should be added."""
         return len(self._jobs) >= self.MAX_WAITING
 
-    def add(self, writer: RecordingWriter) -> None:
-        """Close a file in the disk thread."""
-        self._jobs.append(self._worker.submit(writer.close))
+    def add(self, job: Future[Path]) -> None:
+        """Add a file that the disk thread closes."""
+        self._jobs.append(job)
 
     def count_finished(self) -> None:
         """Count the files that are closed."""

@@ -83,7 +83,7 @@ class PartWriter:
         self._needs_replay = False
         self._next_part = NextPart(worker, self._opener)
         self._space_check = SpaceCheck(worker, self._opener)
-        self._closer = PartCloser(worker, counts)
+        self._closer = PartCloser(counts)
         self._closed_bytes = 0
         self._part_number = 0
         self.paths: list[Path] = []  # final paths
@@ -165,6 +165,8 @@ class PartWriter:
         """
         if self._writer is not None:
             self._next_part.discard()
+            self._sync_tracker.wait()
+            self._collect_jobs()
         for _ in range(CLOSE_ATTEMPTS):
             writer = self._write_remaining()
             if writer is not None and self._hand_over_to_closer(writer):
@@ -292,20 +294,22 @@ class PartWriter:
             self._write(self._writer, record)
 
     def _collect_jobs(self) -> None:
+        writer = self._writer
+        if writer is not None and (error := self._sync_tracker.poll_sync()):
+            self._run_step(writer, lambda: writer.fail_with(error))
+        self._closer.count_finished()
+        if self._writer is not None and self._sync_tracker.is_syncing:
+            return  # if it fails, the next part takes what was not synced
         part = self._next_part.take()
         if isinstance(part, OpenedPart):
             self._switch_to_part(part)
         elif part is not None:
             self._handle_open_failure(part)
-        writer = self._writer
-        if writer is not None and (error := self._sync_tracker.poll_sync()):
-            self._run_step(writer, lambda: writer.fail_with(error))
         free_bytes = self._space_check.take_answer()
         if free_bytes is not None:
             self._counts.free_bytes = free_bytes
             if free_bytes < self._settings.reserve_bytes:
                 self._stop_for_space()
-        self._closer.count_finished()
 
     def _handle_open_failure(self, error: BaseException) -> None:
         if isinstance(error, UsageError):  # a file of that name exists: take the next number
@@ -347,7 +351,7 @@ class PartWriter:
         if not self._run_step(old, old.flush):
             return False  # what it did not take is in memory for the next file
         self._closed_bytes += old.bytes_written
-        self._closer.add(old)
+        self._closer.add(self._sync_tracker.close_file())
         return True
 
     def _stop_for_space(self) -> None:

@@ -16,6 +16,7 @@ class RecorderCounts:
     dropped_too_early: int = 0  # too many messages before the file was open
     dropped_from_memory: int = 0  # older than the buffer in memory can hold
     dropped_at_close: int = 0  # in memory when the session ended and the disk still failed
+    dropped_unsynced: int = 0  # of a file whose last sync failed, or too many since the last sync
     refused: int = 0  # out of order on their topic
     queue_high_water: int = 0
     memory_messages: int = 0  # in memory now, because the disk fails
@@ -46,6 +47,7 @@ class RecorderCounts:
             + self.dropped_too_early
             + self.dropped_from_memory
             + self.dropped_at_close
+            + self.dropped_unsynced
             + self.refused
         )
 

@@ -8,7 +8,11 @@ import errno
 import math
 import time
 from collections import deque
+from collections.abc import Callable
+from concurrent import futures
 from concurrent.futures import Future
+from pathlib import Path
+from typing import TypeVar
 
 from gyrorig_daemon.recorder.disk_worker import DiskWorker
 from gyrorig_daemon.recorder.ram_buffer import Record
@@ -18,6 +22,8 @@ from gyrorig_protocol.recording.writer import RecordingWriter
 
 MAX_UNSYNCED_RECORDS = 65_536  # five seconds of 16 boards at 800 Hz; with a slower disk, the newest
 _MS_NS = 1_000_000
+
+T = TypeVar("T")
 
 
 class SyncTracker:
@@ -67,6 +73,11 @@ class SyncTracker:
             # In simulated time, the same seed must give the same bytes.
             self._sync_ns = time.monotonic_ns() - start_ns if self._worker.threaded else 0
 
+    def wait(self) -> None:
+        """Wait until the sync in progress has ended."""
+        if self._job is not None:
+            futures.wait([self._job])
+
     def poll_sync(self) -> OSError | None:
         """Collect the result of a finished sync; return its error."""
         job = self._job
@@ -95,15 +106,43 @@ class SyncTracker:
             the caller decides what to do with the file.
         """
         writer = self._writer
-        if _is_full(fault):  # earlier data is safe
+        if _is_full(fault) and not self.is_syncing:  # earlier data is safe
             kept_count, position = self._written_count - writer.lost_messages, writer.bytes_written
         else:
             kept_count, position = self._synced_count, self.synced_bytes
         forgotten_count = self._written_count - len(self._records)
         unsaved = deque(list(self._records)[max(kept_count - forgotten_count, 0) :])
+        cut_count = max(forgotten_count - kept_count, 0)
         if kept_count:
-            self._worker.submit(lambda: writer.truncate_and_close(position))
+            risk_count = kept_count - self._synced_count
+            self._run_last_step(lambda: writer.truncate_and_close(position), risk_count, cut_count)
+        elif cut_count:
+            self._run_last_step(lambda: None, 0, cut_count)
         return unsaved, kept_count > 0
+
+    def close_file(self) -> Future[Path]:
+        """Close the completely written file in the disk thread."""
+        return self._run_last_step(self._writer.close, self._written_count - self._synced_count)
+
+    def _run_last_step(
+        self, step: Callable[[], T], risk_count: int, cut_count: int = 0
+    ) -> Future[T]:
+        """Run a step in the disk thread, and count the messages that are lost.
+
+        Args:
+            step: closes the file.
+            risk_count: messages that are lost if the sync of the step fails.
+            cut_count: messages that the step removes, and that are not in memory.
+        """
+
+        def run() -> T:
+            try:
+                return step()
+            finally:
+                is_failed = self._writer.has_failed_sync
+                self._counts.dropped_unsynced += cut_count + (risk_count if is_failed else 0)
+
+        return self._worker.submit(run)
 
 
 def _is_full(fault: MachineError) -> bool:

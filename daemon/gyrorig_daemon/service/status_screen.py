@@ -12,6 +12,7 @@ LOST_MESSAGES = (
     "dropped_too_early",
     "dropped_from_memory",
     "dropped_at_close",
+    "dropped_unsynced",
     "refused",
 )
 

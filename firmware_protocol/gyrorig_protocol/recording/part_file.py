@@ -81,6 +81,7 @@ class PartFile:
         self.committed = CommittedOffset()
         self.is_renamed = False
         self._is_name_synced = False
+        self.sync_error: OSError | None = None  # the system reports it only once
         self._file = disk.create(part)
         self._builder = McapBuilder(self._file)
 
@@ -168,16 +169,21 @@ class PartFile:
 
     def sync(self) -> None:
         """Wait until the written data and the name are on the disk; callable by any thread."""
-        self._file.sync()
+        self._sync_data()
         if not self._is_name_synced:
             self._disk.sync_directory(self._part.parent)
             self._is_name_synced = True
 
     def finish(self) -> None:
-        """Write the summary, sync, and give the file its final name."""
+        """Write the summary, sync, and give the file its final name.
+
+        Never after a failed sync: the next one succeeds, although the data are lost.
+        """
+        if self.sync_error is not None:
+            raise self.sync_error
         self._write_chunk()
         self._builder.finish()
-        self._file.sync()
+        self._sync_data()
         if self._disk.exists(self._final):
             raise FileExistsError(errno.EEXIST, "a file of the final name has appeared")
         self._disk.rename(self._part, self._final)
@@ -195,12 +201,19 @@ class PartFile:
         try:
             if not self.is_renamed:
                 self._file.cut(position)
-                self._file.sync()
+                self._sync_data()
         except OSError as error:
             outcome = f"its last bytes can be incomplete ({error.strerror})"
         with suppress(OSError):  # the descriptor is closed also after an error
             self._file.close()
         return outcome
+
+    def _sync_data(self) -> None:
+        try:
+            self._file.sync()
+        except OSError as error:
+            self.sync_error = error
+            raise
 
     def _write_chunk(self) -> None:
         """Write the chunk in progress if it has a message."""

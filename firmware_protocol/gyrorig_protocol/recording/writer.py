@@ -111,6 +111,11 @@ class RecordingWriter:
         return self._file.committed.lost_messages
 
     @property
+    def has_failed_sync(self) -> bool:
+        """Whether a sync failed, so that the data before it can be lost."""
+        return self._file.sync_error is not None
+
+    @property
     def waiting_messages(self) -> int:
         """Number of messages not yet in a complete chunk, which an error now would cost."""
         return self._file.committed.waiting_messages

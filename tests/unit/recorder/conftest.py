@@ -1,5 +1,6 @@
 """Disks that fail, and what a folder of recordings contains afterwards."""
 
+import os
 from collections.abc import Callable
 from pathlib import Path
 
@@ -20,6 +21,7 @@ class FailingFile(DiskFile):
 
     def __init__(self, path: Path, ask: Callable[[], None]) -> None:
         self._ask = ask
+        self._synced_bytes = 0
         ask()
         super().__init__(path)
 
@@ -32,11 +34,19 @@ class FailingFile(DiskFile):
         return super().write(data)
 
     def sync(self) -> None:
-        self._ask()
+        """As Linux: the unsynced data are lost, one error says so, and the next sync succeeds."""
+        unsynced_bytes = max(self.tell() - self._synced_bytes, 0)
+        start, self._synced_bytes = self._synced_bytes, self.tell()
+        try:
+            self._ask()
+        except OSError:
+            os.pwrite(self._descriptor, bytes(unsynced_bytes), start)
+            raise
 
     def cut(self, length: int) -> None:
         self._ask()
         super().cut(length)
+        self._synced_bytes = min(self._synced_bytes, length)
 
 
 class FailingDisk(Disk):
