@@ -69,7 +69,7 @@ class _ChannelStore:
 
 @dataclass(slots=True)
 class _InvalidMessages:
-    """Messages of one channel that do not match its schema."""
+    """Messages of one channel that do not match its schema, or are too many."""
 
     count: int = 0
     offset: int = 0  # of the chunk of the first such message
@@ -232,15 +232,16 @@ class TopicCollector:
                 reason = "not of the size and header of its type"
                 self._count_invalid(number, len(invalid_offsets), chunk.offset, reason)
         elif isinstance(store, VariableSizeChannel):
-            self._text_messages += len(offsets)
             limit = MIN_TEXT_MESSAGE_LIMIT + len(self.file) // FILE_BYTES_PER_TEXT_MESSAGE
-            if self._text_messages > limit:
-                raise InputError(
-                    f"{self.path} has more than {limit} commands and events, the limit for a file "
-                    "of its size",
-                    _FOREIGN_FILE_REMEDY,
+            room = limit - self._text_messages
+            self._text_messages += len(offsets[:room])
+            store.append(content, offsets[:room])
+            if len(offsets) > room:
+                reason = (
+                    f"a file of this size can have {limit} commands and events; what comes after "
+                    "these is not read"
                 )
-            store.append(content, offsets)
+                self._count_invalid(number, len(offsets) - room, chunks[0].offset, reason)
 
     def _count_invalid(self, number: int, count: int, offset: int, reason: str) -> None:
         invalid = self._invalid_messages[number]

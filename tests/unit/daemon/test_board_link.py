@@ -3,6 +3,7 @@
 import random
 from collections.abc import Callable
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -341,6 +342,40 @@ def test_a_reset_is_not_counted_as_lost_samples() -> None:
     assert (stream.counts.missing, stream.counts.reordered) == (0, 0)
     assert stream.counts.restarts == 1
     assert notices == ["board A has restarted its clock"]
+
+
+def test_a_board_that_restarts_its_clock_all_the_time_is_recorded_once_per_minute() -> None:
+    notices: list[str] = []
+    sinks = BoardSinks(lambda *_: None, lambda *_: None, notices.append, notices.append)
+    stream = SampleStream(BoardPort(id="A", port="/dev/A"), CaptureClock(UTC_NS, ORIGIN_NS), sinks)
+    for number in range(15_000):  # 150 s; each clock lasts 1 s
+        ticks = number % 100 * 10_000 + 1_000_000 * (number // 100 % 2)
+        frame = Sample(0, number % 100, ticks, (0, 0, 0))
+        arrival_ns = ORIGIN_NS + 10_000_000 * number
+        stream.handle_frame(frame, FrameEvent(frame, arrival_ns, 0, b""))
+    assert stream.counts.restarts > 50
+    assert len(notices) == 3
+    assert notices[1].startswith("board A has restarted its clock (")
+    omitted_count = sum(int(text.split("(")[1].split()[0]) for text in notices[1:])
+    assert 3 + omitted_count <= stream.counts.restarts
+
+
+def test_a_board_that_alternates_its_configuration_is_recorded_once_per_minute() -> None:
+    desk = Desk()
+    desk.run(1.0)
+    hello = desk.link.hello
+    assert hello is not None
+    for number in range(100):
+        changed = msgspec.structs.replace(hello, config=f"c{number % 2}")
+        payload = f"hello {number}".encode()
+        desk.link._handle_event(FrameEvent(changed, desk.pump.now_ns(), 0, payload))
+    assert desk.notices == ["board A has changed its configuration"]
+    desk.run(70.0)
+    changed = msgspec.structs.replace(hello, config="c2")
+    desk.link._handle_event(FrameEvent(changed, desk.pump.now_ns(), 0, b"hello"))
+    assert desk.notices[1:] == [
+        "board A has changed its configuration (99 more since the last report of this fault)"
+    ]
 
 
 @pytest.mark.parametrize("batch", [1, 8])

@@ -18,6 +18,7 @@ from gyrorig_daemon.links.boards.board_metadata import board_metadata
 from gyrorig_daemon.links.boards.board_presence import SILENCE_S, BoardPresence, LinkState
 from gyrorig_daemon.links.boards.pending_pings import PendingPings
 from gyrorig_daemon.links.boards.sample_stream import BoardSinks, SampleStream
+from gyrorig_daemon.links.fault_limiter import FaultLimiter
 from gyrorig_daemon.links.ports.port_hub import Chunk, PortChange
 from gyrorig_daemon.links.pump import Pump
 from gyrorig_protocol.board import (
@@ -67,6 +68,7 @@ class BoardLink:
         self.hello_bytes: list[bytes] = []  # payloads as received, for the recording
         self.slow: Slow | None = None  # last report of the losses that the board counted
         self._samples = SampleStream(config, clock, sinks)
+        self._notes = FaultLimiter(sinks.note)
         self.counts = self._samples.counts
         self._presence = BoardPresence(pump.is_up(config.hub_port), now_ns)
         protocol = find_protocol(config.format, bool(config.bus))
@@ -261,7 +263,11 @@ class BoardLink:
         self._presence.mark_sample(event.received_ns)
         if self.counts.samples and state is not LinkState.KNOWN:
             gap_s = (event.received_ns - before) * 1e-9
-            self._sinks.note(f"{self._location()} sends samples again, after {gap_s:.3f} s")
+            text = f"{self._location()} sends samples again, after {gap_s:.3f} s"
+            if state is LinkState.FOREIGN:  # two boards on one port can alternate at every frame
+                self._notes.report("again", event.received_ns, text)
+            else:
+                self._sinks.note(text)
         self._samples.handle_frame(frame, event)
 
     def _handle_slow(self, slow: Slow, event: FrameEvent) -> None:
@@ -284,7 +290,8 @@ class BoardLink:
             self.hello_bytes.append(payload)
         previous = self.hello
         if previous is not None and hello.uid == previous.uid and hello.config != previous.config:
-            self._sinks.fault(f"board {self.board_id} has changed its configuration")
+            text = f"board {self.board_id} has changed its configuration"
+            self._samples.faults.report("configuration", self._pump.now_ns(), text)
         if previous is None or (hello.uid, hello.config) != (previous.uid, previous.config):
             self.hello = hello
             self._samples.apply_hello(hello)
@@ -299,7 +306,8 @@ class BoardLink:
         self._is_identified = False
         self._foreign_uid = hello.uid
         self._presence.mark_foreign()
-        self._sinks.fault(f"{self._foreign_description()}. Its samples are not recorded")
+        text = f"{self._foreign_description()}. Its samples are not recorded"
+        self._samples.faults.report("foreign", self._pump.now_ns(), text)
 
     def _check_boot_count(self, boot: int) -> None:
         """Start a new clock epoch after a restart, unless the clock showed it already."""

@@ -13,6 +13,7 @@ from enum import Enum
 from gyrorig_daemon.clocks import OnlineClock
 from gyrorig_daemon.clocks.capture_clock import CaptureClock
 from gyrorig_daemon.config import BoardPort
+from gyrorig_daemon.links.fault_limiter import FaultLimiter
 from gyrorig_protocol.board import Batch, FrameEvent, Hello, Sample
 from gyrorig_protocol.board_protocols import SerialProtocol, find_protocol
 from gyrorig_protocol.identity import BoardId
@@ -73,6 +74,7 @@ class SampleStream:
         self._config = config
         self._capture = capture
         self._sinks = sinks
+        self.faults = FaultLimiter(sinks.fault)  # also for those of the board's link
         self._board_id = config.board_id
         self._protocol = find_protocol(config.format, bool(config.bus))
         self._has_edges = self._protocol.sends_clock_at_edges
@@ -128,7 +130,9 @@ class SampleStream:
             mapped_ns = self.clock.observe(
                 last.device_time, arrival_ns, wire_ns, last.sequence, not self._has_edges
             )
-            self._count_epoch()  # before counting: a restart is not a loss of 40000 samples
+            self._count_epoch(
+                arrival_ns
+            )  # before counting: a restart is not a loss of 40000 samples
         self.latency_ns = arrival_ns - mapped_ns
         self.worst_latency_ns = max(self.worst_latency_ns, self.latency_ns)
         self._count(samples)
@@ -151,7 +155,7 @@ class SampleStream:
                 sample.device_time, arrival_ns, wire_ns, sample.sequence, not self._has_edges
             )
             if clock.restarts > self._counted_epochs:
-                self._count_epoch()
+                self._count_epoch(arrival_ns)
         latency_ns = self.latency_ns = arrival_ns - taken_ns
         self.worst_latency_ns = max(self.worst_latency_ns, latency_ns)
         self._count([sample])
@@ -250,7 +254,7 @@ class SampleStream:
         if self.counts.samples:
             self._pending_epoch = reason
 
-    def _count_epoch(self) -> None:
+    def _count_epoch(self, now_ns: int) -> None:
         """Count a new clock epoch as announced or as a fault."""
         if self.clock.restarts <= self._counted_epochs:
             return
@@ -264,4 +268,4 @@ class SampleStream:
             self.counts.remapped += 1
         else:
             self.counts.restarts += 1
-            self._sinks.fault(f"board {self._board_id} has restarted its clock")
+            self.faults.report("restart", now_ns, f"board {self._board_id} has restarted its clock")

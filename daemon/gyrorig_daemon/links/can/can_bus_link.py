@@ -18,6 +18,7 @@ from collections.abc import Sequence
 from gyrorig_daemon.config import BusPort
 from gyrorig_daemon.links.boards.sample_stream import BoardSinks
 from gyrorig_daemon.links.can.can_board_link import CanBoardLink
+from gyrorig_daemon.links.fault_limiter import FaultLimiter
 from gyrorig_daemon.links.ports.port_hub import Chunk, PortChange
 from gyrorig_daemon.links.pump import Pump
 from gyrorig_protocol.can import (
@@ -37,7 +38,6 @@ from gyrorig_protocol.errors import DeviceError
 MAX_PENDING_EDGES = 16
 MAX_CACHED_KEYS = 1024  # cached owners of identifiers
 SYNC_RETRY_NS = 2_000_000_000  # do not fill a full queue further
-FAULT_REPEAT_NS = 60_000_000_000  # the same fault is recorded again after a minute
 _NO_DATA = int(FrameFlag.REMOTE | FrameFlag.ERROR | FrameFlag.LOST | FrameFlag.FOREIGN)
 _REMEDIES = {
     BusReport.ERROR_PASSIVE: "check cable, terminators and bitrate",
@@ -62,13 +62,12 @@ class CanBusLink:
         self._pump = pump
         self._config = config
         self._boards = boards
-        self._sinks = sinks
         self._rng = rng
         self._board_by_key: dict[int, CanBoardLink | None] = {}
         self._edges: dict[int, list[int]] = {}  # low bits -> number, earliest time, echo or 0
         self._edge_count = 0
         self._is_bus_off = False
-        self._last_fault_ns: dict[str, int] = {}
+        self._faults = FaultLimiter(sinks.fault)
         self.counts: Counter[str] = Counter()
         for board in boards:
             board.bus_counts = self.counts
@@ -182,8 +181,4 @@ class CanBusLink:
             self.counts["sync_without_echo"] += 1
 
     def _report_fault(self, kind: str, now_ns: int, text: str) -> None:
-        """Record a fault, but not the same one at every frame."""
-        last_ns = self._last_fault_ns.get(kind)
-        if last_ns is None or now_ns - last_ns > FAULT_REPEAT_NS:
-            self._last_fault_ns[kind] = now_ns
-            self._sinks.fault(f"bus {self._config.id}: {text}")
+        self._faults.report(kind, now_ns, f"bus {self._config.id}: {text}")
