@@ -25,7 +25,7 @@ MetadataRecords = dict[str, dict[str, str]]
 
 
 def part_path(first: Path, number: int) -> Path:
-    """Return the path of a part; parts sort by name."""
+    """Return the path of a part; `recording_order` sorts the parts."""
     return first if number == 0 else first.with_name(f"{first.stem}_p{number:03d}.mcap")
 
 

@@ -1,15 +1,18 @@
 """Metadata and attachments at the beginning of a recording.
 
 What to use when: `Attachment` for a file inside a recording; `software_version` for the name and
-version of this program; `complete_metadata` only in the writer.
+version of this program; `recording_order` to sort files; `complete_metadata` only in the writer.
 """
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
 
 FORMAT_VERSION = "1"
+_PART_NAME = re.compile(r"(.*)_p(\d{3,})\.mcap")
 _REQUIRED_KEYS = ("session", "anchor_utc_ns", "anchor_monotonic_raw_ns")
 
 
@@ -30,6 +33,17 @@ class Attachment:
     media_type: str
     data: bytes
     log_time_ns: int = 0
+
+
+def recording_order(path: Path) -> tuple[str, int, str]:
+    """Return the sort key of a file: by name, and the parts of a session by number.
+
+    Sorted by name alone, `_p1000` precedes `_p101`.
+    """
+    match = _PART_NAME.match(path.name)
+    if match is None:
+        return path.name.partition(".mcap")[0], 0, path.name
+    return match[1], int(match[2]), path.name
 
 
 def complete_metadata(metadata: Mapping[str, Mapping[str, str]]) -> dict[str, dict[str, str]]:

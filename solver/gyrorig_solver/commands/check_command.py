@@ -8,6 +8,7 @@ import click
 
 from gyrorig_protocol.errors import GyrorigError, InputError
 from gyrorig_protocol.recording.reader import read_recording
+from gyrorig_protocol.recording.recording_metadata import recording_order
 from gyrorig_solver.check import RecordingHealth, examine_recording, health_problems, health_verdict
 from gyrorig_solver.check.attitude_health import attitude_lines
 from gyrorig_solver.check.recording_health import BoardHealth, UnitHealth
@@ -81,7 +82,8 @@ def _recordings_of(paths: tuple[Path, ...]) -> list[Path]:
         if not path.is_dir():
             expanded.append(path)
             continue
-        inside = sorted(path.glob("*.mcap")) + sorted(path.glob("*.mcap.part"))
+        inside = sorted(path.glob("*.mcap"), key=recording_order)
+        inside += sorted(path.glob("*.mcap.part"), key=recording_order)
         if not inside:
             raise InputError(
                 f"the folder {path} contains no recording",

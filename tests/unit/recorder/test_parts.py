@@ -5,8 +5,10 @@ import sys
 from pathlib import Path
 
 from gyrorig_daemon.recorder import Recorder, RecorderSettings, RecordingPlan
+from gyrorig_daemon.recorder.part_files import part_path
 from gyrorig_protocol.recording.messages import EventKind, ImuRaw, SessionEvent
 from gyrorig_protocol.recording.reader import read_recording
+from gyrorig_protocol.recording.recording_metadata import recording_order
 from gyrorig_protocol.recording.writer import Attachment
 
 BOARD = {"uid": "u", "sensor": "L3G4200D", "link": "serial", "gyro_scale_rad_s": "0.000153"}
@@ -156,3 +158,12 @@ def test_no_part_is_empty(tmp_path: Path) -> None:
     assert last == tmp_path / "a.mcap"
     assert [path.name for path in tmp_path.iterdir()] == ["a.mcap"]
     assert recorder.paths == (last,)
+
+
+def test_parts_are_sorted_by_number() -> None:
+    first = Path("folder/a.mcap")
+    parts = [part_path(first, number) for number in (0, 1, 101, 999, 1000, 1001, 10_000)]
+    paths = [*parts, Path("folder/b.mcap")]
+    assert sorted(paths, key=recording_order) == paths
+    unfinished = [path.with_name(f"{path.name}.part") for path in paths]
+    assert sorted(unfinished, key=recording_order) == unfinished
