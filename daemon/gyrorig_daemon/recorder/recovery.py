@@ -78,8 +78,7 @@ def recover_folder(folder: Path, reserve_bytes: int = 0, disk: Disk = DISK) -> l
         if not folder.is_dir():
             return []
         for partial in list_abandoned_files(folder, f"*{_PARTIAL_SUFFIX}"):
-            with contextlib.suppress(FileNotFoundError):  # another process was faster
-                disk.unlink(partial)
+            _delete_abandoned(partial, disk)
         parts = list_abandoned_files(folder, "*.mcap.part")
     except OSError as fault:
         raise MachineError(
@@ -88,6 +87,21 @@ def recover_folder(folder: Path, reserve_bytes: int = 0, disk: Disk = DISK) -> l
         ) from fault
     reports = (_recover_locked(part, reserve_bytes, disk) for part in parts)
     return [recovery for recovery in reports if recovery is not None]
+
+
+def _delete_abandoned(partial: Path, disk: Disk) -> None:
+    """Delete a file in progress, unless another process is recovering its original.
+
+    Its own lock is not sufficient: it is released before the file is verified.
+    """
+    part = partial.with_name(partial.name.removesuffix(_PARTIAL_SUFFIX) + ".part")
+    with contextlib.suppress(FileNotFoundError):  # another process was faster
+        if not part.exists():
+            disk.unlink(partial)
+            return
+        with hold_lock(part) as is_free:
+            if is_free:
+                disk.unlink(partial)
 
 
 def _recover_locked(part: Path, reserve_bytes: int, disk: Disk) -> RecoveryReport | None:

@@ -1,16 +1,18 @@
 """Recovery next to a running recorder, next to another recovery, and of damaged files."""
 
+import os
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
-from gyrorig_daemon.recorder import Recorder, RecorderSettings, RecordingPlan
-from gyrorig_daemon.recorder.recovery import RecoveryOutcome, recover_folder
+from gyrorig_daemon.recorder import Recorder, RecorderSettings, RecordingPlan, recovery
+from gyrorig_daemon.recorder.recovery import RecoveryOutcome, RecoveryReport, recover_folder
 from gyrorig_protocol.recording.mcap.disk_file import Disk, hold_lock
 from gyrorig_protocol.recording.messages import ImuRaw
 from gyrorig_protocol.recording.reader import read_recording
+from gyrorig_protocol.recording.salvage import read_strictly
 from gyrorig_protocol.recording.writer import RecordingWriter
 
 METADATA = {"gyrorig": {"session": "s", "anchor_utc_ns": "0", "anchor_monotonic_raw_ns": "0"}}
@@ -72,6 +74,34 @@ def test_recoveries_at_once(tmp_path: Path) -> None:
     assert sorted(count(path) for path in tmp_path.glob("*.mcap")) == [300] * 12
     assert len(list(tmp_path.glob("unclean/*.part"))) == 12
     assert not list(tmp_path.glob("*.recovering"))
+
+
+def test_a_recovery_while_another_verifies_its_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    leave_unfinished(tmp_path)
+    other_reports: list[RecoveryReport] = []
+
+    def verify_slowly(path: Path) -> dict[str, int]:
+        other_reports.extend(recover_folder(tmp_path))
+        return read_strictly(path)
+
+    monkeypatch.setattr(recovery, "read_strictly", verify_slowly)
+    (report,) = recover_folder(tmp_path)
+    assert report.outcome is RecoveryOutcome.RECOVERED
+    assert other_reports == []
+    assert count(tmp_path / "a.mcap") == 500
+
+
+@pytest.mark.parametrize("has_original", [True, False])
+def test_an_abandoned_file_in_progress_is_deleted(tmp_path: Path, has_original: bool) -> None:
+    if has_original:
+        leave_unfinished(tmp_path)
+    abandoned = tmp_path / "a.mcap.recovering"
+    abandoned.write_bytes(b"incomplete")
+    os.utime(abandoned, (0, 0))
+    assert len(recover_folder(tmp_path)) == has_original
+    assert not abandoned.exists()
 
 
 def test_a_file_without_messages_is_set_aside(tmp_path: Path) -> None:
