@@ -92,11 +92,22 @@ class CanBoardParser:
 
     def __init__(self, node: int) -> None:
         self._node = node
-        self.full_scale_counts = (1 << 15) - 1
         self.frames = 0
         self.faults = dict.fromkeys(FaultCause, 0)
         self._segments = HelloAssembler()
         self._waiting: deque[_UntimedSample] = deque()
+        self._forget_board()
+        self._handlers: dict[int, Callable[[CanFrame], list[CanBoardEvent]]] = {
+            FrameType.LATCH: self._read_latch,
+            FrameType.ACCEL: self._read_accel,
+            FrameType.GYRO: self._read_gyro,
+            FrameType.STATUS: self._read_status,
+            FrameType.HEALTH: self._read_health,
+            FrameType.HELLO: self._read_hello,
+        }
+
+    def _forget_board(self) -> None:
+        self.full_scale_counts = (1 << 15) - 1
         self._pending_accel: tuple[int, Triple] | None = None
         # Time (32 bits) and number of the last sample; None: wait for STATUS.
         self._last_time_ticks: int | None = None
@@ -109,14 +120,6 @@ class CanBoardParser:
         self._air_temperature_decidegc: int | None = None
         self._sample_temperature: int | None = None  # of the better sensor
         self._counters = [0, 0, 0, 0]
-        self._handlers: dict[int, Callable[[CanFrame], list[CanBoardEvent]]] = {
-            FrameType.LATCH: self._read_latch,
-            FrameType.ACCEL: self._read_accel,
-            FrameType.GYRO: self._read_gyro,
-            FrameType.STATUS: self._read_status,
-            FrameType.HEALTH: self._read_health,
-            FrameType.HELLO: self._read_hello,
-        }
 
     @property
     def waiting_count(self) -> int:
@@ -128,10 +131,10 @@ class CanBoardParser:
         return key & MAX_NODE == self._node and key >> NODE_BITS in self._handlers
 
     def reset(self) -> None:
-        """Drop unfinished data, for example after the bus was disconnected."""
+        """Forget the board and its unfinished data: another board can follow on the bus."""
         self._segments.reset()
         self._waiting.clear()
-        self._pending_accel = self._last_time_ticks = self._last_status = self._period_ticks = None
+        self._forget_board()
 
     def feed(self, frame: CanFrame) -> list[CanBoardEvent]:
         """Return the events that a frame of this board's node completes."""

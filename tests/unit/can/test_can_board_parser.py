@@ -267,3 +267,18 @@ def test_samples_after_a_silence_have_different_numbers(gap_s: float) -> None:
     send(first, 400)
     expected = [(first + index) & 0xFFFF for index in range(400)]
     assert [sample.sequence for sample in samples] == expected
+
+
+def test_a_reset_forgets_the_temperature_and_the_counters_of_the_board() -> None:
+    parser = CanBoardParser(NODE)
+    parser.full_scale_counts = 1000
+    parser.feed(health_frame(NODE, 600, None, (7, 7, 7, 7)))
+    parser.reset()
+    frames = [status_frame(NODE, 1000, 1, 55), gyro_frame(NODE, (1500, 2, 3), 1400)]
+    events = [event for frame in frames for event in parser.feed(frame)]
+    slow, sample = (event.frame for event in events if isinstance(event, FrameEvent))
+    assert isinstance(slow, Slow)
+    assert slow.temperature == slow.sensor_overruns == slow.saturations == 0
+    assert isinstance(sample, Sample)
+    assert sample.temperature is None
+    assert not sample.flags & SampleFlag.SATURATED
