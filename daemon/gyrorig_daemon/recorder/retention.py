@@ -3,27 +3,26 @@
 What to use when: `apply_retention` from time to time, and when less than the reserve is free.
 Nothing is deleted without a rule that a person has written. If it cannot be determined which
 recordings a calibration cites (for example because a store is not mounted), nothing is
-deleted.
-
-Citations are found by digests and names anywhere in the documents of a store, without parsing
-them. A damaged document, or one of a later version, still protects its recordings.
+deleted. `retention_memory` has what was seen at the last check.
 """
 
-import os
-import re
-from collections.abc import Callable, Collection, Iterator, Sequence
-from dataclasses import dataclass
+import math
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
-from gyrorig_daemon.recorder.recovery import NOTE_SUFFIX, UNCLEAN_FOLDER, file_sha256
+from gyrorig_daemon.recorder.citation_index import CitationIndex, check_citation_counts
+from gyrorig_daemon.recorder.recovery import NOTE_SUFFIX, UNCLEAN_FOLDER
+from gyrorig_daemon.recorder.retention_memory import (
+    RetentionMemory,
+    read_memory,
+    write_memory,
+)
 from gyrorig_protocol.errors import MachineError, UsageError
 from gyrorig_protocol.recording.mcap.disk_file import DISK, Disk, is_being_written
+from gyrorig_protocol.recording.recording_metadata import recording_order
 
 _DAY_S = 86_400.0
-_DIGEST = re.compile(rb"[0-9a-f]{64}")
-_NAME = re.compile(rb"[\w.+-]+\.mcap(?:\.part)?")
-_DOCUMENTS = (".yaml", ".yml", ".json")
-_LARGEST_DOCUMENT_BYTES = 16 << 20  # real documents have a few kB
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,7 +62,14 @@ class RetentionResult:
 class _File:
     path: Path
     size: int
-    time_s: float  # of the last change
+    name: str  # relative to the folder
+    changed_s: float  # time of the last change
+    time_s: float = math.inf  # not older than this; infinite: not yet seen with a valid clock
+
+    @property
+    def order(self) -> tuple[float, float, tuple[str, int, str]]:
+        """The oldest file has the smallest value."""
+        return self.time_s, self.changed_s, recording_order(self.path)
 
 
 def apply_retention(
@@ -72,6 +78,7 @@ def apply_retention(
     stores: Sequence[Path],
     keep: Collection[Path] = (),
     *,
+    memory_path: Path,
     now_s: float | None = None,
     disk: Disk = DISK,
 ) -> RetentionResult:
@@ -83,18 +90,28 @@ def apply_retention(
         stores: folders of calibrations, whose citations protect recordings; each one must
             exist. Empty: there are no calibrations.
         keep: recordings of the running session.
+        memory_path: file with what was seen at the last check.
         now_s: present system time; None if it is not valid: then the rule of age is not used.
         disk: where all this happens.
 
     Raises:
-        MachineError: a store or the folder cannot be read; nothing was deleted then.
+        MachineError: a store or the folder cannot be read, or a store has lost all citations;
+            nothing was deleted then.
     """
+    previous = read_memory(memory_path)
+    all_files = _files(folder)
+    memory = previous.with_files([file.name for file in all_files], now_s)
+    citations = CitationIndex(stores)
+    check_citation_counts(citations.counts, previous, memory_path)
+    memory = memory.with_citations(citations.counts)
+    if memory != previous:
+        write_memory(memory_path, memory)
     names = {path.name for path in keep}
-    files = [file for file in _files(folder) if file.path.name not in names]
+    files = sorted(
+        (_dated(file, memory) for file in all_files if file.path.name not in names),
+        key=lambda file: file.order,
+    )
     need = _RetentionNeed(rules, files, now_s, lambda: disk.free_bytes(folder))
-    if not files or not need.asks_for(files[0]):
-        return RetentionResult((), 0, ())
-    citations = _CitationIndex(stores)
     deleted: list[_File] = []
     cited_paths: list[Path] = []
     for file in files:
@@ -150,79 +167,27 @@ class _RetentionNeed:
         self._total -= file.size
 
 
-class _CitationIndex:
-    """The digests and names in the documents of all stores."""
-
-    def __init__(self, stores: Sequence[Path]) -> None:
-        self._digests: set[str] = set()
-        self._names: set[str] = set()
-        for store in stores:
-            if not store.is_dir():
-                raise MachineError(
-                    f"the calibration store {store} does not exist. The daemon deletes no old "
-                    "recordings, because it cannot check which of them the calibrations in this "
-                    "store need",
-                    "mount the disk of the store, or remove the store from `service: stores` in "
-                    "the rig file",
-                )
-            try:
-                for document in _documents(store):
-                    self._read_document(document)
-            except OSError as fault:
-                raise MachineError(
-                    f"the daemon cannot read {fault.filename or store} in the calibration store "
-                    f"({fault.strerror}). It deletes no old recordings, because it cannot check "
-                    "which of them the calibrations in this store need",
-                    "give the user of the daemon permission to read the store, or remove the store "
-                    "from `service: stores` in the rig file",
-                ) from fault
-
-    def protects(self, path: Path) -> bool:
-        """Whether a calibration was made from this file."""
-        return path.name in self._names or _digest(path) in self._digests
-
-    def _read_document(self, document: Path) -> None:
-        if document.stat().st_size > _LARGEST_DOCUMENT_BYTES:
-            raise MachineError(
-                f"the file {document} in the store is too large for a calibration (more than "
-                f"{_LARGEST_DOCUMENT_BYTES / 1e6:.0f} MB)",
-                "move the file out of the store",
-            )
-        text = document.read_bytes()
-        self._digests.update(match.decode() for match in _DIGEST.findall(text))
-        self._names.update(match.decode() for match in _NAME.findall(text))
-
-
-def _documents(store: Path) -> Iterator[Path]:
-    """Every document in a store, also through links; OSError if one cannot be read."""
-
-    def refuse(fault: OSError) -> None:
-        raise fault
-
-    visited: set[str] = set()
-    for folder, subfolders, names in os.walk(store, onerror=refuse, followlinks=True):
-        real = os.path.realpath(folder)
-        if real in visited:  # links in a circle
-            subfolders.clear()
-            continue
-        visited.add(real)
-        yield from (Path(folder, name) for name in names if name.endswith(_DOCUMENTS))
+def _dated(file: _File, memory: RetentionMemory) -> _File:
+    """Return the file with its time: that of its last change if it was not first seen later."""
+    first_seen_s = memory.first_seen_s.get(file.name, math.inf)
+    return replace(file, time_s=max(file.changed_s, first_seen_s))
 
 
 def _files(folder: Path) -> list[_File]:
-    """Everything that can be deleted, oldest first."""
+    """Everything that can be deleted."""
     files = []
     try:
         for path in (*folder.glob("*.mcap"), *(folder / UNCLEAN_FOLDER).glob("*.mcap.part")):
             if path.is_file() and not path.is_symlink() and not is_being_written(path):
                 status = path.stat()
-                files.append(_File(path, status.st_size, status.st_mtime))
+                name = str(path.relative_to(folder))
+                files.append(_File(path, status.st_size, name, status.st_mtime))
     except OSError as fault:
         raise MachineError(
             f"the folder {folder} cannot be read ({fault.strerror})",
             f"check the permissions of the folder with `ls -ld {folder}`, and check its disk",
         ) from fault
-    return sorted(files, key=lambda file: (file.time_s, file.path.name))
+    return files
 
 
 def _delete(path: Path, disk: Disk) -> None:
@@ -235,15 +200,4 @@ def _delete(path: Path, disk: Disk) -> None:
         raise MachineError(
             f"the old recording {path} cannot be deleted ({fault.strerror})",
             "give the folder to the user of the daemon with chown. The daemon continues to record",
-        ) from fault
-
-
-def _digest(path: Path) -> str:
-    try:
-        return file_sha256(path)
-    except OSError as fault:
-        raise MachineError(
-            f"the old recording {path} cannot be read ({fault.strerror}). The daemon does not "
-            "delete it, because without its SHA-256 it cannot check whether a calibration needs it",
-            "give the user of the daemon permission to read the file, or check the disk",
         ) from fault

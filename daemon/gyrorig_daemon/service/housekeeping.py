@@ -17,6 +17,7 @@ from pathlib import Path
 from gyrorig_daemon.config.service_settings import ServiceSettings
 from gyrorig_daemon.recorder import Recorder
 from gyrorig_daemon.recorder.retention import RetentionRules, apply_retention
+from gyrorig_daemon.recorder.retention_memory import read_memory
 from gyrorig_daemon.service.recording_policy import recorder_settings, retention_rules
 from gyrorig_daemon.service.state_folder import StateFolder
 from gyrorig_protocol.child_process import module_command
@@ -160,6 +161,7 @@ class Housekeeping:
                     rules,
                     self._calibration_stores(settings),
                     protected,
+                    memory_path=self._state.retention_memory,
                     now_s=self._valid_utc_s(),
                 )
             except (GyrorigError, OSError) as error:
@@ -176,9 +178,15 @@ class Housekeeping:
             )
 
     def _calibration_stores(self, settings: ServiceSettings) -> list[Path]:
-        """Return the calibration folders; folders from the settings must exist."""
+        """Return the calibration folders; each must exist that had citations or is in the settings.
+
+        Raises:
+            MachineError: the memory of the last check cannot be read.
+        """
         state_store = self._state.root / "calibrations"
+        memory = read_memory(self._state.retention_memory)
+        is_needed = state_store.is_dir() or memory.citation_counts.get(str(state_store), 0) > 0
         return [
-            *([state_store] if state_store.is_dir() else []),
+            *([state_store] if is_needed else []),
             *(Path(path) for path in settings.stores),
         ]

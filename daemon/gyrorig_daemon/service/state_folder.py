@@ -6,6 +6,7 @@
     experiments/       one folder per experiment, with the findings of each round
     metrics/           gyrorig.prom for a Prometheus node exporter, unless configured otherwise
     schedule.json      when each entry of the schedule last started
+    retention.json     what the last check of old recordings saw (see `retention_memory`)
     rig.json           the motion lock, and whether the step count is reliable
 
 What to use when: open the `StateFolder` first. A process that does not get the lock must end. A
@@ -68,6 +69,7 @@ class StateFolder:
         )
         self.schedule = root / "schedule.json"
         self.persistent_state = root / "rig.json"
+        self.retention_memory = root / "retention.json"
         self._lock: int | None = None
 
     def __enter__(self) -> "StateFolder":

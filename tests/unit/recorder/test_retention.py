@@ -2,14 +2,16 @@
 
 import hashlib
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Collection, Sequence
 from pathlib import Path
 
 import pytest
 
-from gyrorig_daemon.recorder.retention import RetentionRules, apply_retention
+from gyrorig_daemon.recorder import retention
+from gyrorig_daemon.recorder.retention import RetentionResult, RetentionRules
+from gyrorig_daemon.recorder.retention_memory import RetentionMemory, write_memory
 from gyrorig_protocol.errors import MachineError, UsageError
-from gyrorig_protocol.recording.mcap.disk_file import Disk, DiskFile
+from gyrorig_protocol.recording.mcap.disk_file import DISK, Disk, DiskFile
 
 DAY = 86_400
 NOW = 1_790_000_000
@@ -30,11 +32,33 @@ def spool(tmp_path: Path) -> Path:
     """Five recordings of 100 bytes, a day apart; r0 is the oldest."""
     folder = tmp_path / "spool"
     folder.mkdir()
-    for k in range(5):
-        path = folder / f"r{k}.mcap"
+    first_seen_s = {f"r{k}.mcap": float(NOW + k * DAY) for k in range(5)}
+    for k, (name, time_s) in enumerate(first_seen_s.items()):
+        path = folder / name
         path.write_bytes(bytes([k]) * 100)
-        os.utime(path, (NOW + k * DAY, NOW + k * DAY))
+        os.utime(path, (time_s, time_s))
+    write_memory(tmp_path / "retention.json", RetentionMemory(first_seen_s, {}))
     return folder
+
+
+def apply_retention(
+    folder: Path,
+    rules: RetentionRules,
+    stores: Sequence[Path],
+    keep: Collection[Path] = (),
+    *,
+    now_s: float | None = None,
+    disk: Disk = DISK,
+) -> RetentionResult:
+    return retention.apply_retention(
+        folder,
+        rules,
+        stores,
+        keep,
+        memory_path=folder.parent / "retention.json",
+        now_s=now_s,
+        disk=disk,
+    )
 
 
 def left(folder: Path) -> list[str]:
@@ -94,6 +118,37 @@ def test_a_missing_store_prevents_deletion(spool: Path, tmp_path: Path) -> None:
     assert len(left(spool)) == 5
 
 
+def test_a_store_that_is_not_mounted_prevents_deletion(spool: Path, tmp_path: Path) -> None:
+    store = store_citing(tmp_path, "- r0.mcap")
+    apply_retention(spool, RetentionRules(), [store])
+    store.rename(tmp_path / "unmounted")
+    store.mkdir()
+    with pytest.raises(MachineError, match=r"had citations of recordings .* \(1\)") as error:
+        apply_retention(spool, RetentionRules(max_bytes=1), [store])
+    assert len(left(spool)) == 5
+    assert "retention.json" in error.value.remedy
+    store.rmdir()
+    (tmp_path / "unmounted").rename(store)
+    apply_retention(spool, RetentionRules(max_bytes=1), [store])
+    assert left(spool) == ["r0.mcap"]
+
+
+def test_a_store_that_was_emptied_on_purpose(spool: Path, tmp_path: Path) -> None:
+    store = store_citing(tmp_path, "- r0.mcap")
+    apply_retention(spool, RetentionRules(), [store])
+    (store / "B-1" / "v0001.yaml").unlink()
+    (tmp_path / "retention.json").unlink()
+    apply_retention(spool, RetentionRules(max_bytes=1), [store])
+    assert left(spool) == []
+
+
+def test_a_damaged_memory_prevents_deletion(spool: Path, tmp_path: Path) -> None:
+    (tmp_path / "retention.json").write_text("{")
+    with pytest.raises(MachineError, match="deletes no old recordings"):
+        apply_retention(spool, RetentionRules(max_bytes=1), [])
+    assert len(left(spool)) == 5
+
+
 def test_an_unreadable_store_prevents_deletion(spool: Path, tmp_path: Path) -> None:
     store = store_citing(tmp_path)
     (store / "B-1" / "v0002.yaml").symlink_to(tmp_path / "nowhere")
@@ -139,13 +194,29 @@ def test_a_clock_jump_deletes_nothing(spool: Path) -> None:
     assert len(left(spool)) == 5
 
 
+def test_a_recording_from_before_the_synchronisation_is_new(spool: Path) -> None:
+    """A computer without a clock was off for 100 days, and starts with the time of its end."""
+    path = spool / "before.mcap"
+    path.write_bytes(b"x" * 100)
+    os.utime(path, (NOW - 96 * DAY, NOW - 96 * DAY))
+    rules = RetentionRules(max_days=90)
+    assert apply_retention(spool, rules, [], now_s=None).deleted == ()
+    assert apply_retention(spool, rules, [], now_s=NOW + 4 * DAY).deleted == ()
+    assert apply_retention(spool, RetentionRules(max_bytes=500), []).deleted == (spool / "r0.mcap",)
+    newest = spool / "newest.mcap"
+    newest.write_bytes(b"y" * 100)
+    os.utime(newest, (NOW + 95 * DAY, NOW + 95 * DAY))
+    apply_retention(spool, rules, [], now_s=NOW + 95 * DAY)
+    assert left(spool) == ["newest.mcap"]
+
+
 def test_originals_are_deleted_with_their_notes(spool: Path) -> None:
     aside = spool / "unclean"
     aside.mkdir()
     for name in ("u.mcap.part", "u.mcap.part.json"):
         (aside / name).write_bytes(b"u")
         os.utime(aside / name, (NOW - DAY, NOW - DAY))
-    apply_retention(spool, RetentionRules(max_bytes=500), [])
+    apply_retention(spool, RetentionRules(max_bytes=500), [], now_s=NOW - DAY)
     assert left(aside) == []
     assert len(left(spool)) == 6
 

@@ -80,6 +80,21 @@ def test_a_store_that_is_not_mounted_stops_all_deleting(keeper_of: Maker) -> Non
     assert "No recording was deleted" in log_lines[0]
 
 
+def test_calibrations_that_have_disappeared_stop_all_deleting(keeper_of: Maker) -> None:
+    keeper, state, log_lines = keeper_of(ServiceSettings(keep_mb=2))
+    paths = recordings(state.recordings, 2)
+    store = state.root / "calibrations"
+    store.mkdir()
+    (store / "v0001.yaml").write_text("inputs:\n  - recording: r0.mcap\n")
+    keeper.free_space()
+    store.rename(state.root / "elsewhere")
+    paths += recordings(state.recordings, 5)
+    keeper.free_space()
+    assert all(path.exists() for path in paths)
+    assert keeper.counts.retention_failures == 1
+    assert "does not exist" in log_lines[0]
+
+
 def test_room_is_made_only_where_that_was_allowed(
     keeper_of: Maker, monkeypatch: pytest.MonkeyPatch
 ) -> None:
