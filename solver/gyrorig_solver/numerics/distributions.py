@@ -1,4 +1,4 @@
-"""Tail probabilities and quantiles of the chi-squared and the normal distribution.
+"""Tail probabilities and quantiles of the chi-squared, F, Student's t and normal distributions.
 
 What to use when: for every p-value and every limit. `scipy.stats` has the same functions, based on
 these, but takes half a second to import.
@@ -8,10 +8,15 @@ Source: scipy.special, i.e. Cephes and Boost; names as in Johnson, Kotz and Bala
 
 from functools import cache
 
+import numpy as np
 from scipy import special
+
+from gyrorig_solver.data import FloatArray
 
 # Of a cause of the detectable size; of all tests of one recording together.
 DETECTION_POWER, FALSE_ALARM_RATE = 0.8, 0.01
+_MIN_TAIL = 1e-280
+_MAX_STUDENT_DEGREES = 1e9  # more make no difference to a normal distribution
 
 
 def chi2_upper_tail(statistic: float, degrees: float) -> float:
@@ -42,6 +47,31 @@ def detection_noncentrality(degrees_of_freedom: int, test_count: int) -> float:
         degrees_of_freedom,
         DETECTION_POWER,
     )
+
+
+def f_upper_tail(statistic: float, degrees: float, denominator_degrees: float) -> float:
+    """Return the probability that a variable with an F distribution exceeds a statistic."""
+    return float(special.fdtrc(degrees, denominator_degrees, statistic))
+
+
+def normal_score(t: FloatArray, degrees: FloatArray | float) -> FloatArray:
+    """Return the standard normal scores that have the tail probabilities of Student's t.
+
+    Args:
+        t: any shape.
+        degrees: of freedom, above zero, at most infinity; a shape that broadcasts with `t`.
+
+    Where the tail probability is too small for a float, the approximation by Wallace (1959,
+    Annals of Mathematical Statistics 30) is returned.
+    """
+    finite_degrees = np.minimum(degrees, _MAX_STUDENT_DEGREES)
+    tail = special.stdtr(finite_degrees, -np.abs(t))
+    factor = (8.0 * finite_degrees + 1.0) / (8.0 * finite_degrees + 3.0)
+    far_score = factor * np.sqrt(finite_degrees * np.log1p(t * t / finite_degrees))
+    with np.errstate(divide="ignore"):
+        score = np.where(tail > _MIN_TAIL, -special.ndtri(tail), far_score)
+    signed_score: FloatArray = np.copysign(score, t)
+    return signed_score
 
 
 def student_factor(degrees: float) -> float:

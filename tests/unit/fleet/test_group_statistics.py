@@ -6,6 +6,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.stats import norm
+from scipy.stats import t as student
 from tests.unit.fleet.conftest import row
 from tests.unit.fleet.test_fleet_overview import script
 
@@ -69,13 +71,15 @@ def test_mean_and_spread_of_each_lot_agree_with_numpy(fleet_json: dict[str, Any]
 def test_the_difference_of_a_lot_agrees_with_numpy(fleet_json: dict[str, Any]) -> None:
     """By the variance within all lots, as in an analysis of variance."""
     within = sum(float(((v - v.mean()) ** 2).sum()) for v in VALUES.values())
-    variance = within / (sum(LOTS.values()) - len(LOTS))
+    degrees_of_freedom = sum(LOTS.values()) - len(LOTS)
+    variance = within / degrees_of_freedom
     for name, item in groups(fleet_json, "lot").items():
         values = VALUES[name]
         others = np.concatenate([v for other, v in VALUES.items() if other != name])
-        z = (values.mean() - others.mean()) / np.sqrt(
+        t = (values.mean() - others.mean()) / np.sqrt(
             variance * (1 / values.size + 1 / others.size)
         )
+        z = norm.ppf(student.cdf(-abs(t), degrees_of_freedom)) * -np.sign(t)
         assert item["parameters"]["scale_x"]["z"] == pytest.approx(z, rel=1e-5)
         assert abs(z) > 10.0
 

@@ -29,7 +29,7 @@ class GroupStatistics:
     mean_std: float
     spread: float  # standard deviation between its boards
     count: int  # boards with a value
-    z: float | None  # difference to all other groups of the kind; None without another
+    z: float | None  # normal score of the difference to all others; None without another
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from gyrorig_solver.data import BoolArray, FloatArray
-from gyrorig_solver.numerics import chi2_upper_tail
+from gyrorig_solver.numerics import chi2_upper_tail, f_upper_tail, normal_score
 
 IntArray = npt.NDArray[np.intp]
 
@@ -65,9 +65,10 @@ class GroupMeans:
 
     names: list[str]  # of groups with an inlier
     mean: FloatArray  # (groups,), in the parameter's unit
-    z: FloatArray  # (groups,), each mean minus that of all other groups
+    z: FloatArray  # (groups,), normal scores of each mean minus that of all other groups
     centre: float
     statistic: float  # Cochran's Q
+    degrees_of_freedom: int  # of the spread within groups: inliers minus groups
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,7 +132,10 @@ def fit_spread(value: FloatArray, std: FloatArray) -> SpreadEstimate:
 def group_means(
     value: FloatArray, std: FloatArray, group: Sequence[str], is_outlier: BoolArray
 ) -> GroupMeans | None:
-    """Return the means of groups and their differences; None with fewer than two groups.
+    """Return the means of groups and their differences; None if they cannot be compared.
+
+    At least two groups are needed, and a group of two boards: the spread within groups is not
+    known otherwise. This spread is estimated; therefore the normal scores are those of Student's t.
 
     Outliers do not count. In a group of `MIN_BOARDS` they are found within the group, because a
     lot that is off as a whole does not consist of outliers; else they are those of `is_outlier`.
@@ -147,44 +151,51 @@ def group_means(
         return None
     variance = std * std
     is_inlier = _inliers_within_groups(value, variance, index, ~is_outlier)
+    has_inliers = np.bincount(index, is_inlier, len(names)) > 0.0
+    degrees_of_freedom = int(is_inlier.sum() - has_inliers.sum())
+    if has_inliers.sum() < 2 or degrees_of_freedom < 1:
+        return None
     # The spread within groups: a bad lot would increase a spread over all boards and hide in it.
     _, inlier_group_index = np.unique(index[is_inlier], return_inverse=True)
     tau2 = _reml_variance(value[is_inlier], variance[is_inlier], inlier_group_index)
     weight = np.where(is_inlier, 1.0 / (tau2 + variance), 0.0)
-    total_weight = np.bincount(index, weight, len(names))
-    has_inliers = total_weight > 0.0
-    if has_inliers.sum() < 2:
-        return None
-    means = np.bincount(index, weight * value, len(names))[has_inliers] / total_weight[has_inliers]
-    centre = float(np.average(means, weights=total_weight[has_inliers]))
+    total_weight = np.bincount(index, weight, len(names))[has_inliers]
+    means = np.bincount(index, weight * value, len(names))[has_inliers] / total_weight
+    centre = float(np.average(means, weights=total_weight))
     # variance of the difference to a mean that includes the group itself
-    difference_variance = 1.0 / total_weight[has_inliers] - 1.0 / total_weight[has_inliers].sum()
+    difference_variance = 1.0 / total_weight - 1.0 / total_weight.sum()
     return GroupMeans(
         names=[str(name) for name in names[has_inliers]],
         mean=means,
-        z=(means - centre) / np.sqrt(difference_variance),
+        z=normal_score((means - centre) / np.sqrt(difference_variance), degrees_of_freedom),
         centre=centre,
-        statistic=float((total_weight[has_inliers] * (means - centre) ** 2).sum()),
+        statistic=float((total_weight * (means - centre) ** 2).sum()),
+        degrees_of_freedom=degrees_of_freedom,
     )
 
 
 def cochran_q_test(
     fitted: Population, value: FloatArray, std: FloatArray, group: Sequence[str]
 ) -> GroupDifference | None:
-    """Test whether groups (lots, rigs, sites) differ; None with fewer than two groups.
+    """Test whether groups (lots, rigs, sites) differ; None if they cannot be compared.
 
     The statistic is Cochran's Q of the groups' means, with the spread within groups. If the
-    groups do not differ, it is chi-square with one degree of freedom less than groups.
+    groups do not differ, Q over its degrees of freedom, one less than groups, has an F
+    distribution, because the spread is estimated. This is the F test of the analysis of variance
+    (Fisher 1925) if all calibrations have the same uncertainty.
     """
     means = group_means(value, std, group, fitted.is_outlier)
     if means is None:
         return None
     extreme = int(np.argmax(np.abs(means.z)))
+    between_degrees = len(means.names) - 1
     return GroupDifference(
         parameter=fitted.parameter,
         group_count=len(means.names),
         statistic=means.statistic,
-        p_value=chi2_upper_tail(means.statistic, float(len(means.names) - 1)),
+        p_value=f_upper_tail(
+            means.statistic / between_degrees, between_degrees, means.degrees_of_freedom
+        ),
         extreme_group=means.names[extreme],
         extreme_offset=float(means.mean[extreme] - means.centre),
         extreme_z=float(means.z[extreme]),
