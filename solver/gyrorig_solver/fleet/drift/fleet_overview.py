@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from gyrorig_solver.data import BoolArray, FloatArray
+from gyrorig_solver.fleet.drift.board_outliers import outlier_p_values
 from gyrorig_solver.fleet.drift.common_offsets import OffsetComparison, compare_offsets
 from gyrorig_solver.fleet.drift.ewma_charts import (
     DriftChart,
@@ -42,7 +43,6 @@ from gyrorig_solver.fleet.drift.population import (
     Population,
     cochran_q_test,
     fit_population,
-    mahalanobis_p_values,
 )
 from gyrorig_solver.fleet.store import NEWEST_FIRST_SQL, StoreIndex
 from gyrorig_solver.storage import Storage
@@ -231,7 +231,7 @@ def _outlier_p_values(
     sensors = np.array(boards.sensor)
     for sensor in {sensor for sensor, _ in populations}:
         of_sensor = (sensors == sensor) & np.isfinite(z).any(axis=1)
-        p_values[of_sensor] = mahalanobis_p_values(z[of_sensor])
+        p_values[of_sensor] = outlier_p_values(z[of_sensor])
     return p_values
 
 

@@ -202,38 +202,6 @@ def cochran_q_test(
     )
 
 
-def mahalanobis_p_values(z: FloatArray) -> FloatArray:
-    """Return p values of the Mahalanobis distance of each board over all parameters.
-
-    Args:
-        z: standardised deviations, shape (boards, parameters); NaN where there is none.
-
-    Returns:
-        Tail probabilities of chi-square, shape (boards,), with the correlation between the
-        parameters estimated from the boards.
-    """
-    known = np.isfinite(z)
-    filled = np.clip(np.where(known, z, 0.0), -OUTLIER_SIGMA, OUTLIER_SIGMA)
-    pairs = np.maximum(known.T.astype(float) @ known.astype(float), 1.0)
-    correlation = filled.T @ filled / pairs
-    scale = np.sqrt(np.maximum(np.diag(correlation), 1e-12))
-    correlation /= np.outer(scale, scale)
-    # a small ridge term, because few boards make the matrix singular
-    ridge = z.shape[1] / max(len(z), 1)
-    correlation = (correlation + ridge * np.eye(z.shape[1])) / (1.0 + ridge)
-    statistic = np.einsum(
-        "ij,ij->i",
-        np.where(known, z, 0.0),
-        np.linalg.solve(correlation, np.where(known, z, 0.0).T).T,
-    )
-    return np.array(
-        [
-            chi2_upper_tail(float(board_statistic), float(max(board_count, 1)))
-            for board_statistic, board_count in zip(statistic, known.sum(1), strict=True)
-        ]
-    )
-
-
 def _checked_variance(value: FloatArray, std: FloatArray) -> FloatArray:
     if len(value) < MIN_BOARDS:
         raise ValueError(f"{len(value)} boards are too few for a spread")
