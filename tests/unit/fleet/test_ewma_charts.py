@@ -11,6 +11,7 @@ from gyrorig_solver.fleet.drift.ewma_charts import (
     ParameterHistory,
     benjamini_hochberg,
     board_p_values,
+    detect_drift,
     ewma_chart,
     shifted_groups,
 )
@@ -41,10 +42,10 @@ def moves(drift_chart: DriftChart) -> list[tuple[str, str]]:
 def test_stable_boards_have_standard_normal_scores() -> None:
     rng = np.random.default_rng(1)
     charts = [ewma_chart(quiet(rng)) for _ in range(20)]
-    z = np.concatenate([drift_chart.z for drift_chart in charts])
+    z = np.concatenate([drift_chart.z(1e-3) for drift_chart in charts])
     assert np.std(z) == pytest.approx(1.0, abs=0.03)
     assert np.mean(np.abs(z) > 3.0) == pytest.approx(0.0027, abs=0.0015)
-    assert charts[0].night_scatter_std == pytest.approx(1.0, abs=0.1)
+    assert charts[0].night_scatter_std[0] == pytest.approx(1.0, abs=0.1)
     assert (
         sum(int(benjamini_hochberg(board_p_values([drift_chart])).sum()) for drift_chart in charts)
         <= 1
@@ -112,7 +113,7 @@ def test_a_small_span_of_temperature_gives_no_slope() -> None:
 def test_a_board_without_a_baseline_has_no_chart() -> None:
     value = np.full((NIGHTS, 3), np.nan)
     value[-1] = 1.0
-    value[:5, 1] = 1.0
+    value[:9, 1] = 1.0
     value[:2, 2] = 1.0
     drift_chart = ewma_chart(
         ParameterHistory("b", value, np.where(np.isfinite(value), 0.1, np.nan))
@@ -129,10 +130,61 @@ def test_without_gaps_the_drift_chartis_the_plain_ewma() -> None:
     for night in value[10:]:
         ewma = (1.0 - EWMA_WEIGHT) * ewma + EWMA_WEIGHT * (night - base)
     np.testing.assert_allclose(drift_chart.shift, ewma)
-    noise = 1.0 + drift_chart.night_scatter_std**2
+    noise = 1.0 + drift_chart.night_scatter_std[0] ** 2
     left = 1.0 - (1.0 - EWMA_WEIGHT) ** 60
     expected = noise * (EWMA_WEIGHT / (2.0 - EWMA_WEIGHT) * left + (1.0 - 0.8**30) ** 2 / 10.0)
     np.testing.assert_allclose(drift_chart.variance, expected)
+
+
+def steady_charts(
+    rng: np.random.Generator, nights: int, scatter: np.ndarray, kind: np.ndarray, parameters: int
+) -> list[DriftChart]:
+    """Charts of boards without a drift, whose calibrations are better than the scatter."""
+    shape = (nights, scatter.size)
+    variance = np.full(shape, 0.15**2)
+    charts = []
+    for _ in range(parameters):
+        value = rng.normal(0.0, 10.0, scatter.size) + rng.normal(0.0, 1.0, shape) * scatter
+        value += rng.normal(0.0, 0.15, shape)
+        charts.append(ewma_chart(ParameterHistory("scale_x", value, variance, kind=kind)))
+    return charts
+
+
+@pytest.mark.parametrize(("quiet_boards", "boards"), [(4, 8), (60, 100)])
+def test_a_sensor_that_scatters_more_does_not_drift(quiet_boards: int, boards: int) -> None:
+    rng = np.random.default_rng(8)
+    is_loud = np.arange(boards) >= quiet_boards
+    kind, scatter = is_loud.astype(np.intp), np.where(is_loud, 1.0, 0.1)
+    alarms, z = 0, []
+    for _ in range(20):
+        charts = steady_charts(rng, 14, scatter, kind, parameters=3)
+        alarms += bool(benjamini_hochberg(board_p_values(charts)).any())
+        z += [chart.z(1e-3) for chart in charts]
+    assert alarms <= 2
+    loud, still = np.array(z)[:, is_loud].std(), np.array(z)[:, ~is_loud].std()
+    assert 0.6 < loud / still < 1.6
+
+
+@pytest.mark.parametrize(("boards", "nights"), [(1, 14), (2, 10), (4, 6), (8, 14)])
+def test_charts_of_few_boards_have_the_stated_false_alarm_rate(boards: int, nights: int) -> None:
+    """At 1 %, few of 100 nights; the scatter is known from 9 to 72 pairs of nights."""
+    rng = np.random.default_rng(9)
+    kind = np.zeros(boards, dtype=np.intp)
+    groupings = [Grouping.by_name("rig", ["a"] * boards)]
+    board_alarms, group_alarms = 0, 0
+    for _ in range(100):
+        charts = steady_charts(rng, nights, np.ones(boards), kind, parameters=4)
+        result = detect_drift(charts, groupings)
+        board_alarms += bool(result.drifting.any())
+        group_alarms += bool(result.group_shifts)
+    assert board_alarms <= 4
+    assert group_alarms == 0
+
+
+def test_a_scatter_from_too_few_nights_gives_no_chart() -> None:
+    value = np.random.default_rng(10).normal(size=(9, 1))
+    variance = np.full(value.shape, 0.01)
+    assert np.isinf(ewma_chart(ParameterHistory("b", value, variance)).variance).all()
 
 
 def test_benjamini_hochberg_agrees_with_scipy() -> None:

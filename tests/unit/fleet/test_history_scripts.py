@@ -9,8 +9,9 @@ import pytest
 from tests.bench.synthetic_fleet import FleetPlan, write_fleet
 
 from gyrorig_solver.fleet.drift import PARAMETER_COLUMNS, FleetOverview, build_overview
-from gyrorig_solver.fleet.drift.ewma_charts import HISTORY_NIGHTS
+from gyrorig_solver.fleet.drift.ewma_charts import HISTORY_NIGHTS, board_tail_probability
 from gyrorig_solver.fleet.drift.fleet_overview import read_origins
+from gyrorig_solver.fleet.drift.night_scatter import student_widening
 from gyrorig_solver.fleet.page.history_scripts import (
     STEPS_PER_STD,
     group_charts,
@@ -62,16 +63,17 @@ def nights_of(histories: list[Any]) -> tuple[int, np.ndarray, np.ndarray]:
 
 def test_a_boards_chart_agrees_with_the_statistics(fleet: tuple[FleetOverview, Histories]) -> None:
     overview, histories = fleet
-    compared = 0
+    compared, tail_probability = 0, board_tail_probability(overview.charts)
     for index, board in enumerate(overview.boards.board):
         for which, chart in enumerate(overview.charts):
             first, ewma, std = nights_of(histories[board]["chart"][which])
-            unit = float(np.sqrt(chart.variance[index]))
+            widening = float(student_widening(chart.degrees_of_freedom, tail_probability)[index])
+            unit = float(np.sqrt(chart.variance[index])) * widening
             wanted = chart.baseline[index] + chart.ewma_history[first:, index]
             assert np.isnan(chart.ewma_history[:first, index]).all()
             np.testing.assert_allclose(ewma, wanted, atol=0.006 * unit, rtol=1e-6)
             np.testing.assert_allclose(
-                std, chart.ewma_history_std[first:, index], atol=0.006 * unit
+                std, chart.ewma_history_std[first:, index] * widening, atol=0.006 * unit
             )
             last = np.flatnonzero(np.isfinite(ewma))[-1]
             assert ewma[last] - chart.baseline[index] == pytest.approx(

@@ -9,7 +9,8 @@ moving average of the later nights (EWMA; Roberts 1959) with lambda = 0.2. Its v
 not assumed. It includes the calibrations, the ordinary scatter from night to night, the baseline,
 whose error every later night shares, and the difference between the board's temperature slope and
 its sensor's (`temperature_slopes`). Therefore the first night after a baseline and the hundredth
-have the same false-alarm rate, in any season.
+have the same false-alarm rate, in any season. The scatter is estimated per sensor; therefore alarm
+limits are those of Student's t, which few boards widen.
 
 Boards are tested together by the false-discovery rate (Benjamini and Hochberg 1995) over all boards
 and parameters of a night. With the usual limit of three sigma, a million boards with 13 parameters
@@ -25,11 +26,8 @@ import numpy.typing as npt
 from scipy import special
 
 from gyrorig_solver.data import BoolArray, FloatArray
-from gyrorig_solver.fleet.drift.temperature_slopes import (
-    CHI2_1_MEDIAN,
-    correct_temperature,
-    slope_spread,
-)
+from gyrorig_solver.fleet.drift.night_scatter import estimate_night_scatter, student_widening
+from gyrorig_solver.fleet.drift.temperature_slopes import correct_temperature, slope_spread
 
 EWMA_WEIGHT = 0.2  # usual lambda for small shifts: Lucas and Saccucci 1990, 0.05 to 0.25
 BASELINE_NIGHTS = 10
@@ -58,7 +56,9 @@ class DriftChart:
     """EWMA of one parameter after the last night, for all boards."""
 
     parameter: str
-    night_scatter_std: float  # from night to night, in addition to the calibrations' own
+    # (boards,): of its sensor from night to night, in addition to the calibrations' own
+    night_scatter_std: FloatArray
+    degrees_of_freedom: FloatArray  # (boards,), of that scatter; 0 if it is unknown
     slope_per_c: FloatArray  # (boards,): of its sensor, subtracted; NaN if unknown
     slope_spread: FloatArray  # (boards,): standard deviation of boards' slopes about it
     slope_variances: list[tuple[BoolArray, float]]  # boards of a sensor, variance of its slope
@@ -72,11 +72,16 @@ class DriftChart:
     ewma_history_std: HistoryArray  # its standard deviation
     temperature_offset_history_c: HistoryArray  # `temperature_offset_c` of that night
 
-    @property
-    def z(self) -> FloatArray:
-        """Shift of each board in standard deviations; 0 before its baseline."""
+    def z(self, tail_probability: float) -> FloatArray:
+        """Return the shift of each board in standard deviations; 0 before its baseline.
+
+        Args:
+            tail_probability: of the alarm limit, at which the scores have the tail probability of a
+                normal variable. Far from it, they are only approximately normal.
+        """
+        widening = student_widening(self.degrees_of_freedom, tail_probability)
         score: FloatArray = np.where(
-            np.isfinite(self.variance), self.shift / np.sqrt(self.variance), 0.0
+            np.isfinite(self.variance), self.shift / (np.sqrt(self.variance) * widening), 0.0
         )
         return score
 
@@ -123,7 +128,8 @@ class DriftResult:
 def ewma_chart(parameter_history: ParameterHistory) -> DriftChart:
     """Return the EWMA chart of one parameter.
 
-    Boards with fewer than `MIN_BASELINE_NIGHTS` nights before the last have no chart.
+    Boards with fewer than `MIN_BASELINE_NIGHTS` nights before the last have no chart, nor have
+    boards of a sensor whose scatter from night to night is not known.
     """
     corrected = correct_temperature(
         parameter_history.value,
@@ -136,16 +142,22 @@ def ewma_chart(parameter_history: ParameterHistory) -> DriftChart:
     count = np.cumsum(measured, axis=0)
     baseline_length = np.clip(count[-1] - 1, 0, BASELINE_NIGHTS)
     in_baseline = measured & (count <= baseline_length)
-    scatter_variance = _night_scatter_variance(value, parameter_history.variance, in_baseline)
-    noise = np.where(measured, parameter_history.variance + scatter_variance, np.inf)
-    slope_std = slope_spread(corrected, scatter_variance)
+    kind = parameter_history.kind
+    scatter = estimate_night_scatter(
+        value,
+        parameter_history.variance,
+        in_baseline,
+        np.zeros(value.shape[1], dtype=np.intp) if kind is None else kind,
+    )
+    noise = np.where(measured, parameter_history.variance + scatter.variance, np.inf)
+    slope_std = slope_spread(corrected, scatter.variance)
     weight = np.where(in_baseline, 1.0 / noise, 0.0)
     total_weight = weight.sum(axis=0)
     with np.errstate(invalid="ignore", divide="ignore"):
         baseline = (weight * np.where(measured, value, 0.0)).sum(axis=0) / total_weight
         baseline_variance = 1.0 / total_weight
         baseline_offset_c = (weight * temperature_offset_c).sum(axis=0) / total_weight
-    charted = baseline_length >= MIN_BASELINE_NIGHTS
+    charted = (baseline_length >= MIN_BASELINE_NIGHTS) & (scatter.degrees_of_freedom > 0.0)
     baseline_variance[~charted] = 0.0  # no chart; inf times 0 would be NaN
     shift, ewma_offset_c = np.zeros(value.shape[1]), np.zeros(value.shape[1])
     nights_variance = np.zeros(value.shape[1])  # variance of the nights after the baseline
@@ -174,7 +186,8 @@ def ewma_chart(parameter_history: ParameterHistory) -> DriftChart:
     variance = np.where(charted & (baseline_share > 0.0), ewma_variance, np.inf)
     return DriftChart(
         parameter=parameter_history.parameter,
-        night_scatter_std=float(np.sqrt(scatter_variance)),
+        night_scatter_std=np.sqrt(scatter.variance),
+        degrees_of_freedom=scatter.degrees_of_freedom,
         slope_per_c=corrected.slope_per_c,
         slope_spread=slope_std,
         slope_variances=corrected.slope_variances,
@@ -203,10 +216,11 @@ def detect_drift(charts: Sequence[DriftChart], groupings: Sequence[Grouping]) ->
         shifts, chart_without_shifts = shifted_groups(chart, groupings, tests)
         group_shifts += shifts
         remaining.append(chart_without_shifts)
+    tail_probability = board_tail_probability(remaining)
     return DriftResult(
         group_shifts=sorted(group_shifts, key=lambda shift: -abs(shift.z)),
         drifting=benjamini_hochberg(board_p_values(remaining)),
-        z=np.stack([chart.z for chart in remaining], 1),
+        z=np.stack([chart.z(tail_probability) for chart in remaining], 1),
     )
 
 
@@ -230,12 +244,12 @@ def shifted_groups(
     shift = chart.shift.copy()
     shifts: list[GroupShift] = []
     selected_groups: set[tuple[str, str]] = set()
-    limit = float(-special.ndtri(0.5 * GROUP_FALSE_ALARM_RATE / max(tests, 1)))
+    tail_probability = GROUP_FALSE_ALARM_RATE / max(tests, 1)
     while True:
         best: GroupShift | None = None
         members: BoolArray | None = None
         for grouping in groupings:
-            for candidate, boards in _candidate_shifts(chart, grouping, shift, limit):
+            for candidate, boards in _candidate_shifts(chart, grouping, shift, tail_probability):
                 is_better = best is None or abs(candidate.z) > abs(best.z) * (1.0 + 1e-9)
                 if is_better and (candidate.kind, candidate.group) not in selected_groups:
                     best, members = candidate, boards
@@ -247,7 +261,7 @@ def shifted_groups(
 
 
 def _candidate_shifts(
-    chart: DriftChart, grouping: Grouping, shift: FloatArray, limit: float
+    chart: DriftChart, grouping: Grouping, shift: FloatArray, tail_probability: float
 ) -> Iterator[tuple[GroupShift, BoolArray]]:
     """Yield the groups that have shifted by more than the limit, with their boards.
 
@@ -256,14 +270,16 @@ def _candidate_shifts(
     """
     variance = chart.variance
     mean, mean_variance = group_means_of_chart(
-        chart, grouping, shift, variance, chart.temperature_offset_c
+        chart, grouping, shift, variance, chart.temperature_offset_c, tail_probability
     )
+    limit = float(-special.ndtri(0.5 * tail_probability))
     z = mean / np.sqrt(mean_variance)
     charted = np.isfinite(variance) & (grouping.group_index >= 0)
     board_count = np.bincount(grouping.group_index[charted], minlength=len(grouping.names))
     for index in np.flatnonzero((board_count >= 2) & (np.abs(np.nan_to_num(z)) > limit)):
         members: BoolArray = charted & (grouping.group_index == index)
-        scores = shift[members] / np.sqrt(variance[members])
+        widening = student_widening(chart.degrees_of_freedom[members], tail_probability)
+        scores = shift[members] / (np.sqrt(variance[members]) * widening)
         median_score = float(np.median(scores)) * np.sign(z[index])
         # the mean of the scores of n boards is z / sqrt(n); their median must be near it
         if median_score > abs(z[index]) / np.sqrt(board_count[index]) / 3.0:
@@ -287,8 +303,13 @@ def group_means_of_chart(
     shift: FloatArray,
     variance: FloatArray,
     temperature_offset_c: FloatArray,
+    tail_probability: float,
 ) -> tuple[FloatArray, FloatArray]:
     """Return the weighted mean shift of each group and its variance, (groups,), NaN without any.
+
+    The variance is multiplied by the square of `student_widening` at the alarm limit. The degrees
+    of freedom of a group are the weighted harmonic mean of those of its boards, which is at most
+    the value by Satterthwaite (1946).
 
     Args:
         chart: whose slopes have errors.
@@ -296,6 +317,7 @@ def group_means_of_chart(
         shift: of each board, shape (boards,).
         variance: of each shift; a board without a finite one does not count.
         temperature_offset_c: of each board.
+        tail_probability: of the alarm limit.
     """
     counted = np.isfinite(variance) & (grouping.group_index >= 0)
     group, count = np.where(counted, grouping.group_index, 0), len(grouping.names)
@@ -303,10 +325,13 @@ def group_means_of_chart(
         weight = np.where(counted, 1.0 / variance, 0.0)
         total = np.bincount(group, weight, count)
         mean = np.bincount(group, np.where(counted, weight * shift, 0.0), count) / total
+        inverse_degrees = np.where(counted, weight / chart.degrees_of_freedom, 0.0)
+        degrees_of_freedom = total / np.bincount(group, inverse_degrees, count)
         mean_variance = 1.0 / total
         for of_sensor, slope_variance in chart.slope_variances:
             offset_c = np.where(counted & of_sensor, weight * temperature_offset_c, 0.0)
             mean_variance += (np.bincount(group, offset_c, count) / total) ** 2 * slope_variance
+        mean_variance *= student_widening(degrees_of_freedom, tail_probability) ** 2
     return mean, np.where(total > 0.0, mean_variance, np.nan)
 
 
@@ -332,11 +357,19 @@ def benjamini_hochberg(
 
 def board_p_values(charts: Sequence[DriftChart]) -> FloatArray:
     """Return two-sided p values, shape (boards, parameters); NaN before the baseline."""
-    columns = [
-        np.where(np.isfinite(chart.variance), 2.0 * special.ndtr(-np.abs(chart.z)), np.nan)
-        for chart in charts
-    ]
+    columns = []
+    for chart in charts:
+        with np.errstate(invalid="ignore", divide="ignore"):
+            t = chart.shift / np.sqrt(chart.variance)
+        p_value = 2.0 * special.stdtr(chart.degrees_of_freedom, -np.abs(t))
+        columns.append(np.where(np.isfinite(chart.variance), p_value, np.nan))
     return np.stack(columns, axis=1)
+
+
+def board_tail_probability(charts: Sequence[DriftChart]) -> float:
+    """Return the largest p value at which the first board raises an alarm, over all charts."""
+    tests = sum(int(np.isfinite(chart.variance).sum()) for chart in charts)
+    return FALSE_DISCOVERY_RATE / max(tests, 1)
 
 
 def _ewma_variance(
@@ -352,28 +385,3 @@ def _ewma_variance(
         + baseline_share**2 * baseline_variance
         + (temperature_offset_c * slope_std) ** 2
     )
-
-
-def _night_scatter_variance(
-    value: FloatArray, variance: FloatArray, in_baseline: BoolArray
-) -> float:
-    """Return the variance from night to night in addition to the calibrations' own.
-
-    It is estimated from differences of consecutive nights of a board, half of whose square is
-    the variance of one night; a drift hardly affects them. The median of the squares excludes
-    boards with steps.
-    """
-    squares: list[FloatArray] = []
-    boards = value.shape[1]
-    previous = np.full(boards, np.nan)
-    previous_variance = np.zeros(boards)
-    for night in range(len(value)):
-        is_measured = in_baseline[night]
-        pair = is_measured & np.isfinite(previous)
-        step = value[night, pair] - previous[pair]
-        calibration_variance = variance[night, pair] + previous_variance[pair]
-        squares.append(0.5 * (step * step / CHI2_1_MEDIAN - calibration_variance))
-        previous = np.where(is_measured, value[night], previous)
-        previous_variance = np.where(is_measured, variance[night], previous_variance)
-    variances = np.concatenate(squares)
-    return max(float(np.median(variances)), 0.0) if len(variances) else 0.0

@@ -101,7 +101,7 @@ def correct_temperature(
     )
 
 
-def slope_spread(corrected: TemperatureCorrection, scatter_variance: float) -> FloatArray:
+def slope_spread(corrected: TemperatureCorrection, scatter_variance: FloatArray) -> FloatArray:
     """Return the standard deviation of boards' slopes about their sensor's, (boards,), per degree.
 
     The uncertainty from calibrations and nights is subtracted. The median of the squares is used,
@@ -110,7 +110,7 @@ def slope_spread(corrected: TemperatureCorrection, scatter_variance: float) -> F
     spread = np.zeros(corrected.value.shape[1])
     for (of_kind, _), fitted in zip(corrected.slope_variances, corrected.board_slopes, strict=True):
         squares = (fitted.slope_per_c - corrected.slope_per_c[fitted.boards]) ** 2
-        noise = fitted.variance + scatter_variance * fitted.scatter_variance_factor
+        noise = fitted.variance + scatter_variance[fitted.boards] * fitted.scatter_variance_factor
         spread[of_kind] = np.sqrt(_excess_variance(squares, noise))
     return spread
 

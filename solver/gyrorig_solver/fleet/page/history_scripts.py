@@ -24,9 +24,11 @@ from gyrorig_solver.fleet.drift.ewma_charts import (
     DriftChart,
     Grouping,
     GroupShift,
+    board_tail_probability,
     group_means_of_chart,
 )
 from gyrorig_solver.fleet.drift.latest_calibrations import GROUP_KINDS, PARAMETER_COLUMNS
+from gyrorig_solver.fleet.drift.night_scatter import student_widening
 from gyrorig_solver.fleet.store import NEWEST_FIRST_SQL, StoreIndex
 
 HISTORY_FILES = 256
@@ -133,10 +135,12 @@ def _board_alarm_limit(overview: FleetOverview) -> float | None:
 
 def _group_alarm_limit(overview: FleetOverview) -> float | None:
     """Return the alarm limit of groups in standard deviations, as `shifted_groups` uses it."""
-    if not overview.charts:
-        return None
+    return _two_sided_limit(_group_tail_probability(overview)) if overview.charts else None
+
+
+def _group_tail_probability(overview: FleetOverview) -> float:
     groups = sum(len(grouping.names) for grouping in _groupings(overview)) + 1  # and the fleet
-    return _two_sided_limit(GROUP_FALSE_ALARM_RATE / (len(overview.charts) * groups))
+    return GROUP_FALSE_ALARM_RATE / max(len(overview.charts) * groups, 1)
 
 
 def _two_sided_limit(tail_probability: float) -> float:
@@ -153,22 +157,30 @@ def _board_charts(overview: FleetOverview, board_indices: Sequence[int]) -> list
     if not overview.charts:
         return [""] * len(board_indices)
     columns = np.array(board_indices, dtype=np.intp)
+    tail_probability = board_tail_probability(overview.charts)
     per_parameter = [
-        _chart_texts(
-            chart.ewma_history[:, columns],
-            chart.ewma_history_std[:, columns],
-            np.stack(
-                [
-                    chart.baseline[columns],
-                    chart.reference_temperature_c[columns],
-                    chart.slope_per_c[columns],
-                    np.sqrt(chart.variance[columns]),
-                ]
-            ),
-        )
-        for chart in overview.charts
+        _board_chart_texts(chart, columns, tail_probability) for chart in overview.charts
     ]
     return [_chart_entry(texts) for texts in zip(*per_parameter, strict=True)]
+
+
+def _board_chart_texts(
+    chart: DriftChart, columns: npt.NDArray[np.intp], tail_probability: float
+) -> list[str]:
+    """Return one parameter's charts of boards as text; see `_chart_texts`."""
+    widening = student_widening(chart.degrees_of_freedom[columns], tail_probability)
+    return _chart_texts(
+        chart.ewma_history[:, columns],
+        chart.ewma_history_std[:, columns] * widening,
+        np.stack(
+            [
+                chart.baseline[columns],
+                chart.reference_temperature_c[columns],
+                chart.slope_per_c[columns],
+                np.sqrt(chart.variance[columns]) * widening,
+            ]
+        ),
+    )
 
 
 def group_charts(overview: FleetOverview) -> dict[str, GroupDriftChart]:
@@ -178,8 +190,10 @@ def group_charts(overview: FleetOverview) -> dict[str, GroupDriftChart]:
     other groups: a lot that was measured on a drifting rig has not shifted itself.
     """
     groupings = _groupings(overview)
+    tail_probability = _group_tail_probability(overview)
     by_parameter = [
-        _group_histories(chart, groupings, overview.group_shifts) for chart in overview.charts
+        _group_histories(chart, groupings, overview.group_shifts, tail_probability)
+        for chart in overview.charts
     ]
     charts: dict[str, GroupDriftChart] = {}
     for key in by_parameter[0] if by_parameter else ():
@@ -191,7 +205,10 @@ def group_charts(overview: FleetOverview) -> dict[str, GroupDriftChart]:
 
 
 def _group_histories(
-    chart: DriftChart, groupings: Sequence[Grouping], shifts: Sequence[GroupShift]
+    chart: DriftChart,
+    groupings: Sequence[Grouping],
+    shifts: Sequence[GroupShift],
+    tail_probability: float,
 ) -> dict[str, tuple[FloatArray, FloatArray]]:
     """Return EWMA and standard deviation, each (nights,), of every group by `group_key`."""
     subtracted = np.zeros(chart.ewma_history.shape)
@@ -202,19 +219,20 @@ def _group_histories(
         if shift.parameter != chart.parameter or grouping is None:
             continue
         number = list(grouping.names).index(shift.group)
-        ewma, std = (column[:, number] for column in _group_ewma(chart, grouping, subtracted))
+        columns = _group_ewma(chart, grouping, subtracted, tail_probability)
+        ewma, std = (column[:, number] for column in columns)
         reported[group_key(shift.kind, shift.group)] = ewma, std
         subtracted[:, grouping.group_index == number] += np.nan_to_num(ewma)[:, None]
     histories: dict[str, tuple[FloatArray, FloatArray]] = {}
     for grouping in groupings:
-        ewma, std = _group_ewma(chart, grouping, subtracted)
+        ewma, std = _group_ewma(chart, grouping, subtracted, tail_probability)
         for number, name in enumerate(grouping.names):
             histories[group_key(grouping.kind, name)] = ewma[:, number], std[:, number]
     return histories | reported
 
 
 def _group_ewma(
-    chart: DriftChart, grouping: Grouping, subtracted: FloatArray
+    chart: DriftChart, grouping: Grouping, subtracted: FloatArray, tail_probability: float
 ) -> tuple[FloatArray, FloatArray]:
     """Return EWMA and standard deviation of groups, (nights, groups), NaN before the first.
 
@@ -225,6 +243,7 @@ def _group_ewma(
         chart: of one parameter.
         grouping: the groups.
         subtracted: shift to subtract per night and board, (nights, boards).
+        tail_probability: of the groups' alarm limit.
     """
     count = len(grouping.names)
     nights, boards = chart.ewma_history.shape
@@ -238,7 +257,7 @@ def _group_ewma(
         )
         last = np.where(np.isfinite(chart.ewma_history[night]), tonight, last)
         ewma[night], variance = group_means_of_chart(
-            chart, grouping, last[0], last[1] ** 2, last[2]
+            chart, grouping, last[0], last[1] ** 2, last[2], tail_probability
         )
         std[night] = np.sqrt(variance)
     return ewma, std
