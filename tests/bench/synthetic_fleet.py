@@ -34,6 +34,7 @@ class FleetPlan:
     constant: tuple[str, float] | None = None  # parameter, error on every unit
     board_drift: tuple[int, str, int, float] | None = None
     odd_board: tuple[int, str, float] | None = None
+    refused_board: int | None = None  # its calibrations of the last five nights are refused
     temperature_per_c: dict[str, float] = field(default_factory=dict)
     slope_spread: dict[str, float] = field(
         default_factory=dict
@@ -126,7 +127,9 @@ def write_fleet(store: Path, plan: FleetPlan) -> Path:
         "file": "'calib/00/00/B' || lpad(n_board::VARCHAR, 6, '0') || '/v' || "
         "lpad(n_version::VARCHAR, 4, '0') || '.yaml'",
         "file_sha256": "sha256(n_board || '/' || n_version)",
-        "trust": "CASE WHEN n_board % 50 = 7 THEN 'limited' ELSE 'good' END",
+        "trust": f"CASE WHEN n_board = {-1 if plan.refused_board is None else plan.refused_board} "
+        f"AND n_night >= {plan.nights - 5} THEN 'refused' "
+        "WHEN n_board % 50 = 7 THEN 'limited' ELSE 'good' END",
         "reduced_chi2": "1.0",
         "clock_skew_ppm": "CASE WHEN isfinite(skew) THEN skew END",
         "gyro_scale_rad_s": "NULL" if plan.count_rad_s is None else repr(float(plan.count_rad_s)),

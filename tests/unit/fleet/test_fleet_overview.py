@@ -63,6 +63,12 @@ def test_a_drifting_board_and_an_outlier_are_reported_by_name(tmp_path: Path) ->
     assert "B000033" in result[1][1]
 
 
+def test_refused_calibrations_do_not_count(tmp_path: Path) -> None:
+    faults = {"board_drift": (17, "scale_y", 25, 0.05), "odd_board": (17, "scale_x", 0.3)}
+    result = reported_alerts(tmp_path, boards=60, refused_board=17, **faults)
+    assert [kind for kind, _ in result] == ["trust"]
+
+
 def test_a_store_without_calibrations_is_not_an_error(tmp_path: Path) -> None:
     store = tmp_path / "store"
     write_fleet(store, FleetPlan(boards=2, nights=1, measured=0.0))

@@ -189,7 +189,7 @@ def _clock_text(comparison: OffsetComparison) -> str:
 def _compare_clocks(boards: LatestCalibrations) -> Iterator[OffsetComparison]:
     """Test clocks per sensor on several rigs, then per rig after the sensors' common offset."""
     skew_ppm = boards.clock_skew_ppm.copy()
-    known = np.isfinite(skew_ppm)
+    known = np.isfinite(skew_ppm) & ~boards.is_refused
     sensors, rigs = np.array(boards.sensor), np.array(boards.rig)
     for sensor in sorted(set(sensors[known])):
         selected = known & (sensors == sensor)

@@ -196,6 +196,7 @@ def _drift_charts(
     sql = (
         "SELECT board, date_diff('day', DATE '1970-01-01', start::DATE) AS day, "  # noqa: S608
         f"temperature_degc, {columns} FROM rows WHERE status = 'ok' AND start IS NOT NULL "
+        "AND trust IS DISTINCT FROM 'refused' "
         "QUALIFY row_number() OVER "
         f"(PARTITION BY board, start::DATE ORDER BY {NEWEST_FIRST_SQL}) = 1"
     )

@@ -62,10 +62,14 @@ class LatestCalibrations:
             return ["all"] * len(self.board)
         return {"rig": self.rig, "lot": self.lot, "site": self.site}[kind]
 
+    @property
+    def is_refused(self) -> BoolArray:
+        """Boards whose calibration has the verdict `refused`; no statistic uses its values."""
+        return np.array([trust == "refused" for trust in self.trust], dtype=np.bool_)
+
     def has_value(self, name: str) -> BoolArray:
-        """Return which boards have a value of a parameter."""
-        has_value: BoolArray = np.isfinite(self.value[name]) & (self.std[name] > 0.0)
-        return has_value
+        """Return which boards have a value of a parameter that is not refused."""
+        return np.isfinite(self.value[name]) & (self.std[name] > 0.0) & ~self.is_refused
 
 
 def read_origins(path: Path) -> BoardOrigins:
