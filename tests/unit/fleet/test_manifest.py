@@ -98,6 +98,7 @@ def garbled(path: Path) -> None:
         ("calib/*/*/*/v0001.yaml", Path.unlink, "missing"),
         ("calib/*/*/*/v0002.report.html", garbled, "damaged"),
         ("calib/*/*/*/v0002.report.html", Path.unlink, "missing"),
+        ("index/*.parquet", Path.unlink, "missing"),
         ("manifest/*.sha256", garbled, "unsigned"),
         ("manifest/*.sha256", Path.unlink, "unsigned"),
         ("manifest/*.sig", garbled, "unsigned"),

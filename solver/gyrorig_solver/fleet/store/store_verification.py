@@ -127,14 +127,13 @@ def _read_manifest_digests(
             )
             continue
         manifest_digests.update(manifest.digests)
-        if manifest.index_file in present:
-            data = storage.read(manifest.index_file) or b""
-            if hashlib.sha256(data).hexdigest() != manifest_digests.get(manifest.index_file):
-                faults.append(
-                    StoreFault(
-                        "damaged", manifest.index_file, "its SHA-256 differs from the manifest"
-                    )
-                )
+        data = storage.read(manifest.index_file)
+        if data is None:
+            faults.append(StoreFault("missing", manifest.index_file, "its manifest still exists"))
+        elif hashlib.sha256(data).hexdigest() != manifest_digests.get(manifest.index_file):
+            faults.append(
+                StoreFault("damaged", manifest.index_file, "its SHA-256 differs from the manifest")
+            )
         manifest_digests.pop(manifest.index_file, None)
     if key is not None:
         faults += [
