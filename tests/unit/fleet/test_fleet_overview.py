@@ -1,6 +1,7 @@
 """A fleet in which something is hidden: told, and nothing else; and its page's data."""
 
 import json
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -11,8 +12,9 @@ from tests.bench.synthetic_fleet import FleetPlan, write_fleet
 
 from gyrorig_protocol.errors import InputError, UsageError
 from gyrorig_solver.cli import run
-from gyrorig_solver.fleet.drift import PARAMETER_COLUMNS, build_overview
+from gyrorig_solver.fleet.drift import PARAMETER_COLUMNS, build_overview, fleet_overview
 from gyrorig_solver.fleet.drift.fleet_overview import read_origins
+from gyrorig_solver.fleet.drift.latest_calibrations import LatestCalibrations, latest_calibrations
 from gyrorig_solver.fleet.page import fleet_alerts, write_fleet_page
 from gyrorig_solver.fleet.page.history_scripts import history_shard
 
@@ -75,6 +77,20 @@ def test_a_store_without_calibrations_is_not_an_error(tmp_path: Path) -> None:
     result = build_overview(store)
     assert fleet_alerts(result) == []
     assert Path(write_fleet_page(store, result)).is_file()
+
+
+def test_a_batch_can_add_boards_meanwhile(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    store, new = tmp_path / "store", tmp_path / "new"
+    write_fleet(store, FleetPlan(boards=10, nights=6))
+    write_fleet(new, FleetPlan(boards=12, nights=6))
+
+    def latest_before_a_batch(*args: Any) -> LatestCalibrations:
+        boards = latest_calibrations(*args)
+        shutil.copy(new / "index" / "synthetic-0000.parquet", store / "index" / "added.parquet")
+        return boards
+
+    monkeypatch.setattr(fleet_overview, "latest_calibrations", latest_before_a_batch)
+    assert len(build_overview(store).boards.board) == 10
 
 
 def script(path: Path, function: str) -> list[Any]:

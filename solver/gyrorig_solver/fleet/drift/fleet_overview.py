@@ -191,7 +191,10 @@ def _group_differences(
 def _drift_charts(
     index: StoreIndex, boards: LatestCalibrations
 ) -> tuple[list[DriftChart], IntArray]:
-    """Return the drift chart of every parameter, and the days of the nights."""
+    """Return the drift chart of every parameter, and the days of the nights.
+
+    Boards that a batch has added since `boards` was read are left out.
+    """
     columns = ", ".join(f"{name}, {name}_std" for name in PARAMETER_COLUMNS)
     sql = (
         "SELECT board, date_diff('day', DATE '1970-01-01', start::DATE) AS day, "  # noqa: S608
@@ -201,10 +204,12 @@ def _drift_charts(
         f"(PARTITION BY board, start::DATE ORDER BY {NEWEST_FIRST_SQL}) = 1"
     )
     answer = index.query_columns(sql)
-    if not answer["board"].size:
-        return [], np.zeros(0, dtype=np.intp)
     number = {name: position for position, name in enumerate(boards.board)}
-    board = np.array([number[name] for name in answer["board"]])
+    board = np.array([number.get(name, -1) for name in answer["board"]], dtype=np.intp)
+    answer = {name: column[board >= 0] for name, column in answer.items()}
+    board = board[board >= 0]
+    if not board.size:
+        return [], np.zeros(0, dtype=np.intp)
     days, night = np.unique(np.asarray(answer["day"]), return_inverse=True)
     shape = (len(days), len(boards.board))
 
