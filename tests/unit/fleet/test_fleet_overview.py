@@ -9,14 +9,20 @@ import numpy as np
 import pytest
 from tests.bench.fleet.parts import ERROR
 from tests.bench.synthetic_fleet import FleetPlan, write_fleet
+from tests.unit.fleet.conftest import row
 
 from gyrorig_protocol.errors import InputError, UsageError
+from gyrorig_solver.calibration import create_store
 from gyrorig_solver.cli import run
 from gyrorig_solver.fleet.drift import PARAMETER_COLUMNS, build_overview, fleet_overview
 from gyrorig_solver.fleet.drift.fleet_overview import read_origins
 from gyrorig_solver.fleet.drift.latest_calibrations import LatestCalibrations, latest_calibrations
 from gyrorig_solver.fleet.page import fleet_alerts, write_fleet_page
 from gyrorig_solver.fleet.page.history_scripts import history_shard
+from gyrorig_solver.fleet.store import StoreIndex
+from gyrorig_solver.fleet.store.coordination import RowJournal
+from gyrorig_solver.fleet.store.index_rows import IndexRow
+from gyrorig_solver.storage import Folder
 
 SLOPES = {"bias_x": 1e-3, "bias_z": -4e-4}
 
@@ -77,6 +83,27 @@ def test_a_store_without_calibrations_is_not_an_error(tmp_path: Path) -> None:
     result = build_overview(store)
     assert fleet_alerts(result) == []
     assert Path(write_fleet_page(store, result)).is_file()
+
+
+def write_rows(store: Path, *rows: IndexRow) -> None:
+    create_store(store)
+    with RowJournal(Folder(store), "night") as journal:
+        journal.add(rows)
+    StoreIndex(store).merge_ended_batches()
+
+
+def test_only_the_newest_outcome_of_the_same_recordings_counts(tmp_path: Path) -> None:
+    later = {"created": "2026-03-01T02:30:00Z"}
+    write_rows(
+        tmp_path,
+        row("a", inputs=["1", "2"], status="rejected"),
+        row("b", inputs=["2", "1"], board="B1", **later),
+        row("c", inputs=["3"], status="failed"),
+        row("d", inputs=["3"], status="rejected", **later),
+        row("e", inputs=["4"], board="B2"),
+        row("f", inputs=["4"], status="failed", **later),
+    )
+    assert build_overview(tmp_path).unsuccessful == [("failed", 1), ("rejected", 1)]
 
 
 def test_a_batch_can_add_boards_meanwhile(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -118,13 +118,7 @@ def build_overview(store: Path | Storage, origins: BoardOrigins | None = None) -
         prior_dominated=_population_table(boards, populations, "prior_dominated", fill=0.0) > 0.5,
         shrunk=_population_table(boards, populations, "shrunk"),
         shrunk_std=_population_table(boards, populations, "shrunk_std"),
-        unsuccessful=[
-            (str(status), int(count))
-            for status, count in index.query(
-                "SELECT status, count(DISTINCT key) FROM rows WHERE status <> 'ok' "
-                "GROUP BY 1 ORDER BY 1"
-            )
-        ],
+        unsuccessful=_unsuccessful_sessions(index),
         nights=len(night_days),
         charts=charts,
         night_days=night_days,
@@ -186,6 +180,20 @@ def _group_differences(
         yield kind, known[kind]
         in_group = np.array([name == known[kind].extreme_group for name in groups.pop(kind)])
         value[in_group] -= known[kind].extreme_offset
+
+
+def _unsuccessful_sessions(index: StoreIndex) -> list[tuple[str, int]]:
+    """Return the statuses of sessions without a calibration, and their counts.
+
+    A new version of the solver, or new settings, solve the same recordings in a new job. Only the
+    newest job of the same recordings counts.
+    """
+    sql = (
+        "SELECT status, count(DISTINCT key) FROM (SELECT status, key, first_value(key) OVER "
+        "(PARTITION BY list_sort(inputs) ORDER BY created DESC, status = 'ok' DESC) AS newest_key "
+        "FROM rows) WHERE key = newest_key AND status <> 'ok' GROUP BY 1 ORDER BY 1"
+    )
+    return [(str(status), int(count)) for status, count in index.query(sql)]
 
 
 def _drift_charts(
