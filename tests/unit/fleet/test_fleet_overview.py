@@ -120,6 +120,35 @@ def test_a_batch_can_add_boards_meanwhile(tmp_path: Path, monkeypatch: pytest.Mo
     assert len(build_overview(store).boards.board) == 10
 
 
+def test_a_changed_configuration_begins_a_new_baseline(tmp_path: Path) -> None:
+    """A smaller bandwidth moves the time offset by 4 ms; the board does not drift."""
+    rng = np.random.default_rng(51)
+    rows = []
+    for night in range(1, 27):
+        for number in range(8):
+            is_changed = night > 12 and number == 3
+            offset = 4e-3 * is_changed + float(rng.normal(0.0, 1e-4))
+            rows.append(
+                row(
+                    f"{night}-{number}",
+                    inputs=[f"{night}-{number}"],
+                    board=f"B{number}",
+                    sensor="S",
+                    config_hash="new" if is_changed else "old",
+                    start=f"2026-01-{night:02d}T02:00:00Z",
+                    version=night,
+                    file=f"B{number}/{night}",
+                    parameters={"time_offset": offset, "time_offset_std": 1e-4},
+                )
+            )
+    write_rows(tmp_path, *rows)
+    overview = build_overview(tmp_path)
+    assert not overview.drifting.any()
+    chart = overview.charts[PARAMETER_COLUMNS.index("time_offset")]
+    assert np.isfinite(chart.variance).all()
+    assert chart.baseline[3] == pytest.approx(4e-3, abs=2e-4)
+
+
 def script(path: Path, function: str) -> list[Any]:
     text = path.read_text(encoding="utf-8")
     assert text.startswith(f"{function}(")

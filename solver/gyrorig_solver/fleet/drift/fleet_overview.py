@@ -201,7 +201,9 @@ def _drift_charts(
 ) -> tuple[list[DriftChart], IntArray]:
     """Return the drift chart of every parameter, and the days of the nights.
 
-    Boards that a batch has added since `boards` was read are left out.
+    A chart has the nights with the configuration of the board's last recording only, because
+    another bandwidth or range changes the parameters. Boards that a batch has added since `boards`
+    was read are left out.
     """
     columns = ", ".join(f"{name}, {name}_std" for name in PARAMETER_COLUMNS)
     sql = (
@@ -209,7 +211,9 @@ def _drift_charts(
         f"temperature_degc, {columns} FROM rows WHERE status = 'ok' AND start IS NOT NULL "
         "AND trust IS DISTINCT FROM 'refused' "
         "QUALIFY row_number() OVER "
-        f"(PARTITION BY board, start::DATE ORDER BY {NEWEST_FIRST_SQL}) = 1"
+        f"(PARTITION BY board, start::DATE ORDER BY {NEWEST_FIRST_SQL}) = 1 "
+        "AND config_hash IS NOT DISTINCT FROM "
+        f"first_value(config_hash) OVER (PARTITION BY board ORDER BY {NEWEST_FIRST_SQL})"
     )
     answer = index.query_columns(sql)
     number = {name: position for position, name in enumerate(boards.board)}
