@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from scipy.optimize import minimize_scalar
+from scipy.stats import t as student
 
 from gyrorig_solver.fleet.drift.common_offsets import common_offset
 from gyrorig_solver.fleet.drift.population import (
@@ -71,6 +72,16 @@ def test_one_outlier_does_not_increase_the_spread() -> None:
     result = fit_population("scale_x", y, s)
     assert list(np.flatnonzero(result.is_outlier)) == [7]
     assert result.spread < 1.2 * alone.spread
+
+
+def test_a_common_offset_of_few_boards_has_the_p_value_of_students_t() -> None:
+    """Eight boards whose mean is 3.5 spreads off: one healthy fleet in 50 000 has this."""
+    y = np.random.default_rng(15).normal(0.0, 1.0, 8)
+    y = 1.0 + 3.5e-3 + 1e-3 * (y - y.mean()) / y.std(ddof=1)
+    result = common_offset(fit_population("scale_x", y, np.full(8, 1e-6)), 1.0)
+    expected = 2.0 * student.sf(3.5 * np.sqrt(8.0), 7)
+    assert result.p_value == pytest.approx(expected, rel=1e-3)
+    assert result.answer != "same"
 
 
 def test_uncertain_boards_are_prior_dominated() -> None:

@@ -22,7 +22,7 @@ from gyrorig_solver.fleet.column_units import column_label, column_unit
 from gyrorig_solver.fleet.drift.latest_calibrations import PARAMETER_COLUMNS, LatestCalibrations
 from gyrorig_solver.fleet.drift.population import MIN_BOARDS, Population, fit_population
 from gyrorig_solver.model import plural
-from gyrorig_solver.numerics import normal_upper_tail
+from gyrorig_solver.numerics import normal_score, normal_upper_tail
 
 # The values of an ideal board on an ideal rig. A time offset has no nominal value.
 NOMINAL_VALUES = {
@@ -46,7 +46,7 @@ class CommonOffset:
 
     parameter: str
     offset: float  # of the fleet's mean from nominal
-    z: float
+    z: float  # normal score of the offset
     p_value: float
     share: float  # of the mean square deviation from nominal that is common to all
     boards: int
@@ -88,13 +88,18 @@ class OffsetComparison:
 
 
 def common_offset(fitted: Population, nominal: float) -> CommonOffset:
-    """Test whether a deviation from nominal is the same on every unit."""
+    """Test whether a deviation from nominal is the same on every unit.
+
+    The spread between boards is estimated; therefore this is Student's t test, and `z` the normal
+    score with the same tail probability.
+    """
     offset = fitted.mean - nominal
-    z = offset / fitted.mean_std
+    degrees_of_freedom = int((~fitted.is_outlier).sum()) - 1  # of the spread
+    z = float(normal_score(np.array(offset / fitted.mean_std), degrees_of_freedom))
     return CommonOffset(
         parameter=fitted.parameter,
         offset=offset,
-        z=float(z),
+        z=z,
         p_value=2.0 * normal_upper_tail(abs(z)),
         share=_common_share(offset, fitted.spread),
         boards=fitted.boards,
