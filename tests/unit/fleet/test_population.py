@@ -74,6 +74,19 @@ def test_one_outlier_does_not_increase_the_spread() -> None:
     assert result.spread < 1.2 * alone.spread
 
 
+@pytest.mark.parametrize("boards", [8, 10, 16])
+def test_no_board_of_small_healthy_fleets_is_excluded(boards: int) -> None:
+    rng = np.random.default_rng(14)
+    std = np.full(boards, 0.02)
+    with_outlier = 0
+    for _ in range(500):
+        y = rng.normal(0.0, 1.0, boards)
+        with_outlier += int(fit_spread(y, std).spread ** 2 < 0.99 * np.var(y, ddof=1) - 4e-4)
+    assert with_outlier <= 3
+    y[0] = 100.0
+    assert fit_population("scale_x", y, std).is_outlier[0]
+
+
 def test_a_common_offset_of_few_boards_has_the_p_value_of_students_t() -> None:
     """Eight boards whose mean is 3.5 spreads off: one healthy fleet in 50 000 has this."""
     y = np.random.default_rng(15).normal(0.0, 1.0, 8)

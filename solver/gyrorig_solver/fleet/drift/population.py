@@ -16,6 +16,7 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 import numpy.typing as npt
+from scipy import special
 
 from gyrorig_solver.data import BoolArray, FloatArray
 from gyrorig_solver.numerics import chi2_upper_tail, f_upper_tail, normal_score
@@ -24,6 +25,9 @@ IntArray = npt.NDArray[np.intp]
 
 MIN_BOARDS = 8  # fewer do not determine a spread
 OUTLIER_SIGMA = 5.0  # 1 board in 1.7 million by chance; outliers do not count for the spread
+# Of a healthy board that quartiles or medians of few boards, which are uncertain, exclude.
+_OUTLIER_TAIL_PROBABILITY = 1e-4
+_MEDIAN_EFFICIENCY = 0.37  # of these, relative to the standard deviation: Huber 1981, section 5.1
 PRIOR_DOMINATED_BELOW_WEIGHT = 0.5  # the estimate is mostly the fleet's mean
 _MAX_ITERATIONS = 60
 _QUADRATURE_POINTS = 48
@@ -249,11 +253,18 @@ def _inliers(value: FloatArray, variance: FloatArray) -> BoolArray:
     # the interquartile range of a normal distribution is 1.349 standard deviations
     low, high = np.quantile(value, [0.25, 0.75])
     spread2 = max(((high - low) / 1.349) ** 2 - float(np.median(variance)), 0.0)
-    is_far = np.abs(value - centre) > OUTLIER_SIGMA * np.sqrt(spread2 + variance)
+    is_far = np.abs(value - centre) > _outlier_limit(len(value) - 1) * np.sqrt(spread2 + variance)
     if is_far.sum() > len(value) // 2:  # the quartiles mean nothing here
         is_far[:] = False
     is_inlier: BoolArray = ~is_far
     return is_inlier
+
+
+def _outlier_limit(degrees_of_freedom: int) -> float:
+    """Return the limit of inliers in robust standard deviations, wider for few boards."""
+    effective_degrees = _MEDIAN_EFFICIENCY * degrees_of_freedom
+    quantile = -float(special.stdtrit(effective_degrees, 0.5 * _OUTLIER_TAIL_PROBABILITY))
+    return max(OUTLIER_SIGMA, quantile)
 
 
 def _inliers_within_groups(
@@ -274,7 +285,8 @@ def _inliers_within_groups(
     # half of a normal distribution is within 0.6745 standard deviations
     spread2 = (float(np.median(np.abs(deviation[in_large_group]))) / 0.6745) ** 2
     spread2 = max(spread2 - float(np.median(variance[in_large_group])), 0.0)
-    is_near = np.abs(deviation) <= OUTLIER_SIGMA * np.sqrt(spread2 + variance)
+    limit = _outlier_limit(int(in_large_group.sum()) - len(np.unique(index[in_large_group])))
+    is_near = np.abs(deviation) <= limit * np.sqrt(spread2 + variance)
     is_inlier: BoolArray = np.where(in_large_group, is_near, fallback)
     return is_inlier
 
