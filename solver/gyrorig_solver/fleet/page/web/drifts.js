@@ -94,7 +94,7 @@ function legend(withPoints) {
 function drawBoard(at, { points, std, shrunk, chart }) {
   const panel = by("board"), loading = by("loading"), worst = boards.drift[at] ? boards.drift[at][1] : -1;  // drawn first
   if (!loading) return;  // opened twice while the history was loading
-  loading.replaceWith(chart ? legend(true) : element("p", { class: "soft" }, "No drift chart yet. The baseline needs three nights before the last."));
+  loading.replaceWith(chart ? legend(true) : element("p", { class: "soft" }, "No drift chart yet. The baseline needs three nights before the last, and the scatter eight pairs of nights of the sensor type."));
   drawVersions(at, points);
   const seconds = new Map(points.map((point) => [Math.floor(point[1] / DAY_S), point[1]]));  // the latest of each night
   for (const which of [...data.parameters.keys()].sort((a, b) => (b === worst) - (a === worst) || a - b)) {

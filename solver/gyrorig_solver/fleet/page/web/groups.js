@@ -122,7 +122,7 @@ function closeGroup() {
 function drawGroup(one, chart) {
   const loading = by("group-loading");
   if (!loading) return;  // opened twice while the history was loading
-  loading.replaceWith(chart ? legend(false) : element("p", { class: "soft" }, "No drift chart yet. A board's baseline needs three nights before the last."));
+  loading.replaceWith(chart ? legend(false) : element("p", { class: "soft" }, "No drift chart yet. A board's baseline needs three nights before the last, and the scatter eight pairs of nights of the sensor type."));
   if (!chart) return;
   const drawn = data.parameters.map((name, which) => [name, which, nightsOf(chart[which], data.factors[which])]).filter(([, , nights]) => nights.length);
   const off = (nights) => { const [, ewma, std] = nights[nights.length - 1]; return Math.abs(ewma / std); };
