@@ -21,6 +21,10 @@ LAG_NOTE = (
     "the lag of the die temperature is not applied, because the die is assumed to have the "
     "measured temperature"
 )
+NO_REFERENCE_NOTE = (
+    "thermal causes are not applied, because the calibration has no reference temperature. Solve "
+    "again with this version"
+)
 REFERENCE_PARAMETER = "reference"  # thermal_bias.reference: the reference temperature
 _MAX_CONDITION = 1e6  # above it the gain matrix cannot be inverted
 
@@ -146,23 +150,27 @@ def _temperature_curves(
     """Return the curves of bias and scale: of the section `temperature`, else of the causes."""
     record = calibration.temperature
     bias, scale = bias_curve(record), scale_curve(record)
-    reference = _reference_degc(calibration)
     orders = _thermal_bias_orders(calibration)
     slope = _optional_values(calibration, "thermal_scale")
+    if bias is None and orders:
+        bias = _polynomial(calibration, "thermal_bias", np.array(orders))
+        not_applied += [NO_REFERENCE_NOTE] if bias is None else []
+    if scale is None and slope.any():
+        scale = _polynomial(calibration, "thermal_scale", slope[None])
+        not_applied += [NO_REFERENCE_NOTE] if scale is None else []
+    return bias, scale
+
+
+def _polynomial(
+    calibration: CalibrationDocument, cause: str, coefficients: FloatArray
+) -> TemperatureCurve | None:
+    """Return the curve of a thermal cause, None without a reference temperature."""
+    reference = _reference_degc(calibration, cause)
     if reference is None:
-        if orders or slope.any():
-            not_applied.append(
-                "thermal causes are not applied, because the calibration has no reference "
-                "temperature. Solve again with this version"
-            )
-        return bias, scale
+        return None
     low_high = calibration.validity.temperature_degc
     valid_range = None if low_high is None else (low_high[0], low_high[1])
-    if bias is None and orders:
-        bias = TemperatureCurve.polynomial(reference, np.array(orders), valid_range)
-    if scale is None and slope.any():
-        scale = TemperatureCurve.polynomial(reference, slope[None], valid_range)
-    return bias, scale
+    return TemperatureCurve.polynomial(reference, coefficients, valid_range)
 
 
 def _thermal_bias_orders(calibration: CalibrationDocument) -> list[FloatArray]:
@@ -180,10 +188,10 @@ def _thermal_bias_orders(calibration: CalibrationDocument) -> list[FloatArray]:
     return orders
 
 
-def _reference_degc(calibration: CalibrationDocument) -> float | None:
-    """Return the reference temperature of the thermal causes, None if there is none."""
-    for cause in ("thermal_bias", "thermal_scale"):
-        parameter = calibration.parameters.get(f"{cause}.{REFERENCE_PARAMETER}")
+def _reference_degc(calibration: CalibrationDocument, cause: str) -> float | None:
+    """Return the reference temperature of a thermal cause, else of the other; None without."""
+    for entry in (cause, "thermal_bias", "thermal_scale"):
+        parameter = calibration.parameters.get(f"{entry}.{REFERENCE_PARAMETER}")
         if parameter is not None:
             value = parameter.value
             first = value[0] if isinstance(value, list) and value else value

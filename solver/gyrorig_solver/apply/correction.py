@@ -62,13 +62,16 @@ class Correction:
 
     @property
     def reference_degc(self) -> float:
-        """The reference temperature; nan if rates do not depend on the temperature."""
+        """That of the bias curve, else of the scale curve; nan if rates do not depend on it."""
         return self._curves[0].reference_degc if self._curves else float("nan")
 
     @property
     def temperature_range_degc(self) -> tuple[float, float] | None:
         """The temperatures to which the correction can be applied; None: not limited."""
-        return self._curves[0].range_degc if self._curves else None
+        ranges = [curve.range_degc for curve in self._curves if curve.range_degc is not None]
+        if not ranges:
+            return None
+        return max(low for low, _ in ranges), min(high for _, high in ranges)
 
     def covers(self, temperature_degc: FloatArray) -> BoolArray:
         """Return at which temperatures the correction is valid, shape (n,)."""
@@ -93,9 +96,15 @@ class Correction:
         """Whether a matrix and an offset are sufficient."""
         return not (self.is_nonlinear or self.needs_temperature or self.needs_force)
 
-    def offset(self) -> FloatArray:
-        """Return the offset of the affine form, shape (3,), rad/s."""
-        return np.asarray(-self.inverse @ self.bias_rad_s, dtype=np.float64)
+    def affine_form(self) -> tuple[FloatArray, FloatArray]:
+        """Return the matrix (3, 3) and the offset (3,), rad/s, at the reference temperature."""
+        degc = np.full(1, self.reference_degc)
+        matrix, bias = self.inverse, self.bias_rad_s
+        if self.bias_curve is not None and not self.bias_curve.is_zero:
+            bias = bias + self.bias_curve.change(degc)[0]
+        if self.scale_curve is not None and not self.scale_curve.is_zero:
+            matrix = matrix / (1.0 + self.scale_curve.change(degc)[0])
+        return matrix, np.asarray(-matrix @ bias, dtype=np.float64)
 
     def rates(
         self,
@@ -130,7 +139,8 @@ class Correction:
                 "`--extend none`",
             )
         if self.is_affine:
-            return transform_readings(readings, scale_rad_s * self.inverse, self.offset(), out)
+            matrix, offset = self.affine_form()
+            return transform_readings(readings, scale_rad_s * matrix, offset, out)
         count = readings.shape[0]
         rates = np.empty((count, 3)) if out is None else out
         for start in range(0, count, _BLOCK_SAMPLES):

@@ -13,8 +13,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gyrorig_protocol.errors import InputError, UsageError
-from gyrorig_solver.data import FloatArray, IntArray, TemperatureCurve
+from gyrorig_protocol.errors import UsageError
+from gyrorig_solver.data import FloatArray, IntArray
+from gyrorig_solver.export.c_temperature import (
+    FLOAT_ULP,
+    TemperatureVectors,
+    float_literal,
+    function_with_temperature,
+)
 from gyrorig_solver.export.export_source import ExportSource, comment_lines, quoted
 
 _INT16_LIMIT = 32768
@@ -22,7 +28,6 @@ _INT32_LIMIT = 2**31 - 1
 # sensors read above their nominal full scale: an L3G4200D +-287 deg/s at "250"
 _FULL_SCALE_HEADROOM = 1.2
 _RANDOM_VECTORS = 8
-_FLOAT_ULP = 2.0**-24  # half a unit in the last place of the float 1
 _MAX_SHIFT = 30  # 30 integer bits and 30 fraction bits fit in 62
 
 
@@ -91,21 +96,26 @@ def c_header(source: ExportSource, name: str | None = None) -> str:
             "choose another name with --name, with at most 41 letters, digits and "
             "underscores, and no digit at the start",
         )
-    matrix, offset = scale * correction.inverse, correction.offset()
+    inverse, offset = correction.affine_form()
+    matrix = scale * inverse
     limit = largest_count(scale, source.document.board.config.gyro_full_scale_dps)
     fixed = FixedPoint.of(matrix, offset, limit)
+    vectors = _test_vectors(min(limit, 10 * _INT16_LIMIT))
+    at_temperatures = (
+        TemperatureVectors.of(correction, scale, vectors) if correction.needs_temperature else None
+    )
     parts = [
         *_header_comment(source, stem, fixed, limit),
         *_include_guard(stem),
         *_definitions(source, stem, fixed, scale),
         *_float_function(stem, matrix, offset),
         *(
-            _float_function_with_temperature(source, stem, scale)
+            function_with_temperature(correction, stem, scale)
             if correction.needs_temperature
             else ()
         ),
         *_fixed_function(stem, fixed),
-        *_self_test_function(stem, matrix, offset, fixed, limit),
+        *_self_test_function(stem, matrix, offset, fixed, vectors, at_temperatures),
         f"#endif  /* {stem.upper()}_GYRO_H */",
     ]
     return "\n".join(parts) + "\n"
@@ -141,7 +151,7 @@ def _header_comment(
         f"    of 2^-{fixed.fraction_bits} rad/s; their rounding error is at most "
         f"{fixed.error_bound_rad_s(limit):.2g} rad/s.",
         f"The fixed-point function can overflow if a count is outside +-{limit}.",
-        f"{stem}_self_test returns 0 if both functions give the expected results.",
+        f"{stem}_self_test returns 0 if the functions give the expected results.",
         *source.omission_lines(("thermal_bias", "thermal_scale", "temperature.scale")),
     ]
     if source.correction.needs_temperature:
@@ -185,9 +195,9 @@ def _float_function(stem: str, matrix: FloatArray, offset: FloatArray) -> Iterat
     yield f"static inline void {stem}_rate_float(const int32_t counts[3], float rate_rad_s[3])"
     yield "{"
     yield "    static const float A[3][3] = {"
-    yield from (f"        {{{', '.join(_float_literal(v) for v in row)}}}," for row in matrix)
+    yield from (f"        {{{', '.join(float_literal(v) for v in row)}}}," for row in matrix)
     yield "    };"
-    yield f"    static const float c[3] = {{{', '.join(_float_literal(v) for v in offset)}}};"
+    yield f"    static const float c[3] = {{{', '.join(float_literal(v) for v in offset)}}};"
     yield "    int i;"
     yield ""
     yield "    for (i = 0; i < 3; i++) {"
@@ -196,85 +206,6 @@ def _float_function(stem: str, matrix: FloatArray, offset: FloatArray) -> Iterat
     yield "    }"
     yield "}"
     yield ""
-
-
-def _float_function_with_temperature(
-    source: ExportSource, stem: str, scale: float
-) -> Iterator[str]:
-    """Yield the function with a temperature: polynomials by Horner's rule, and cubic terms."""
-    correction = source.correction
-    curves = [
-        (name, curve, factor)
-        for name, curve, factor in (
-            ("bias", correction.bias_curve, 1.0 / scale),
-            ("gain", correction.scale_curve, 1.0),
-        )
-        if curve is not None and not curve.is_zero
-    ]
-    low, high = correction.temperature_range_degc or (-math.inf, math.inf)
-    yield "/* Returns 1 if the temperature is outside the valid range, and then uses its end. */"
-    yield f"static inline int {stem}_rate_float_at(const int32_t counts[3],"
-    yield "                                        float temperature_degc, float rate_rad_s[3])"
-    yield "{"
-    for name, curve, factor in curves:
-        yield from _curve_tables(name, curve, factor)
-    yield "    static const float A[3][3] = {"
-    yield from (
-        f"        {{{', '.join(_float_literal(v) for v in row)}}},"
-        for row in scale * correction.inverse
-    )
-    yield "    };"
-    offset = ", ".join(_float_literal(v) for v in correction.bias_rad_s / scale)
-    yield f"    static const float b[3] = {{{offset}}};  /* counts */"
-    yield "    float y[3];"
-    yield "    float degc = temperature_degc, warmth;"
-    yield "    int i, k;"
-    yield ""
-    if math.isfinite(low):
-        yield f"    if (degc < {_float_literal(low)}) degc = {_float_literal(low)};"
-        yield f"    if (degc > {_float_literal(high)}) degc = {_float_literal(high)};"
-    yield f"    warmth = degc - {_float_literal(correction.reference_degc)};"
-    yield "    for (i = 0; i < 3; i++) {"
-    yield "        float bias = b[i], gain = 1.0f, sum;"
-    yield ""
-    for name, curve, _ in curves:
-        yield "        sum = 0.0f;"
-        if len(curve.coefficients):
-            yield f"        for (k = {len(curve.coefficients) - 1}; k >= 0; k--) {{"
-            yield f"            sum = (sum + {name}_orders[k][i]) * warmth;"
-            yield "        }"
-        if curve.knots_degc.size:
-            yield f"        for (k = 0; k < {curve.knots_degc.size}; k++) {{"
-            yield f"            const float rise = degc - {name}_knots[k];"
-            yield f"            sum += {name}_bends[k][i]"
-            yield "                * ((rise > 0.0f ? rise * rise * rise : 0.0f)"
-            yield f"                   - {name}_zeros[k]);"
-            yield "        }"
-        yield f"        {name} += sum;"
-    yield "        y[i] = ((float)counts[i] - bias) / gain;"
-    yield "    }"
-    yield "    for (i = 0; i < 3; i++) {"
-    yield "        rate_rad_s[i] = A[i][0] * y[0] + A[i][1] * y[1] + A[i][2] * y[2];"
-    yield "    }"
-    yield "    return degc != temperature_degc;"
-    yield "}"
-    yield ""
-
-
-def _curve_tables(name: str, curve: TemperatureCurve, factor: float) -> Iterator[str]:
-    """Yield the tables of a curve, its values multiplied by a factor."""
-    tables = [(f"{name}_orders", curve.coefficients), (f"{name}_bends", curve.knot_coefficients)]
-    for table, rows in tables:
-        if len(rows):
-            yield f"    static const float {table}[{len(rows)}][3] = {{"
-            for row in rows * factor:
-                yield f"        {{{', '.join(_float_literal(v) for v in row)}}},"
-            yield "    };"
-    if curve.knots_degc.size:
-        zeros = np.maximum(curve.reference_degc - curve.knots_degc, 0.0) ** 3
-        for table, values in ((f"{name}_knots", curve.knots_degc), (f"{name}_zeros", zeros)):
-            text = ", ".join(_float_literal(v) for v in values)
-            yield f"    static const float {table}[{len(values)}] = {{{text}}};"
 
 
 def _fixed_function(stem: str, fixed: FixedPoint) -> Iterator[str]:
@@ -298,14 +229,18 @@ def _fixed_function(stem: str, fixed: FixedPoint) -> Iterator[str]:
 
 
 def _self_test_function(
-    stem: str, matrix: FloatArray, offset: FloatArray, fixed: FixedPoint, limit: int
+    stem: str,
+    matrix: FloatArray,
+    offset: FloatArray,
+    fixed: FixedPoint,
+    vectors: Sequence[Sequence[int]],
+    at_temperatures: TemperatureVectors | None,
 ) -> Iterator[str]:
-    vectors = _test_vectors(min(limit, 10 * _INT16_LIMIT))
     rates = [matrix @ np.array(v, dtype=np.float64) + offset for v in vectors]
     magnitudes = [np.abs(matrix) @ np.abs(np.array(v, dtype=np.float64)) + np.abs(offset)
              for v in vectors]  # fmt: skip
     # Three products and three sums are rounded, and so are the constants.
-    tolerance = 8.0 * _FLOAT_ULP * max(float(s.max()) for s in magnitudes)
+    tolerance = 8.0 * FLOAT_ULP * max(float(s.max()) for s in magnitudes)
     vector_count = len(vectors)
     yield f"static inline int {stem}_self_test(void)"
     yield "{"
@@ -313,12 +248,14 @@ def _self_test_function(
     yield from (f"        {{{', '.join(str(v) for v in row)}}}," for row in vectors)
     yield "    };"
     yield f"    static const float rates[{vector_count}][3] = {{  /* rad/s */"
-    yield from (f"        {{{', '.join(_float_literal(v) for v in row)}}}," for row in rates)
+    yield from (f"        {{{', '.join(float_literal(v) for v in row)}}}," for row in rates)
     yield "    };"
     unit = f"2^-{fixed.fraction_bits} rad/s"
     yield f"    static const int32_t steps[{vector_count}][3] = {{  /* {unit} */"
     yield from (f"        {{{', '.join(str(v) for v in fixed.rates(row))}}}," for row in vectors)
     yield "    };"
+    if at_temperatures is not None:
+        yield from at_temperatures.tables()
     yield "    int i, k;"
     yield ""
     yield f"    for (k = 0; k < {vector_count}; k++) {{"
@@ -328,12 +265,14 @@ def _self_test_function(
     yield f"        {stem}_rate_fixed(counts[k], step);"
     yield "        for (i = 0; i < 3; i++) {"
     yield "            const float off = rate[i] - rates[k][i];"
-    high, low = _float_literal(tolerance), _float_literal(-tolerance)
+    high, low = float_literal(tolerance), float_literal(-tolerance)
     yield f"            if (off > {high} || off < {low} || step[i] != steps[k][i]) {{"
     yield "                return k + 1;  /* wrong result for this vector */"
     yield "            }"
     yield "        }"
     yield "    }"
+    if at_temperatures is not None:
+        yield from at_temperatures.comparison(stem, vector_count)
     yield "    return 0;"
     yield "}"
     yield ""
@@ -346,20 +285,3 @@ def _test_vectors(limit: int) -> list[list[int]]:
     rows += [[limit - 1] * 3, [-limit] * 3, [1, -1, 1]]
     random_counts = np.random.default_rng(1).integers(-limit, limit, size=(_RANDOM_VECTORS, 3))
     return rows + [[int(v) for v in row] for row in random_counts]
-
-
-def _float_literal(value: float) -> str:
-    """Return a float literal; nine digits give exactly the same float.
-
-    Raises:
-        InputError: the value is too large for a float.
-    """
-    with np.errstate(over="ignore"):
-        rounded = float(np.float32(value))
-    if not math.isfinite(rounded):
-        raise InputError(
-            f"the calibration needs the number {value:.3g}, which is too large for a float in C",
-            "solve the recording again, or use the format json",
-        )
-    text = f"{rounded:.9g}"
-    return f"{text}f" if any(c in text for c in ".e") else f"{text}.0f"

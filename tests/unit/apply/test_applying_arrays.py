@@ -173,6 +173,16 @@ def test_thermal_causes_without_a_reference_temperature_are_not_applied(
     assert "has no reference temperature" in " ".join(result.not_applied)
 
 
+def test_each_thermal_cause_has_its_reference_temperature(document: DocumentFactory) -> None:
+    names = ("thermal_bias.slope", "thermal_bias.reference", "thermal_scale")
+    parameters = {name: EVERY[name] for name in names}
+    parameters["thermal_scale.reference"] = parameter([40.0], "degC")
+    result = Calibration(document(parameters=parameters, validity=WARM_RANGE)).correction
+    assert result.bias_curve is not None
+    assert result.scale_curve is not None
+    assert (result.bias_curve.reference_degc, result.scale_curve.reference_degc) == (25.0, 40.0)
+
+
 def test_an_unobservable_gain_is_not_applied(document: DocumentFactory) -> None:
     with pytest.raises(InputError, match=r"has no value for .*scale.*Record a motion"):
         Calibration(document("limited"))

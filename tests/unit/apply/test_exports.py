@@ -136,6 +136,71 @@ int main(void)
     np.testing.assert_allclose(rows[:, 1:], true_rates(result, read - drift), atol=1e-6)
 
 
+def two_references(document: DocumentFactory) -> CalibrationDocument:
+    """Return a calibration with a bias curve from 40 degC and a scale curve from 25 degC."""
+    scale: dict[str, Any] = {
+        "thermal_scale": {"value": [1e-3, -5e-4, 2e-3], "std": [0.0] * 3, "unit": "1/K"},
+        "thermal_scale.reference": {"value": [25.0], "std": [0.0], "unit": "degC"},
+    }
+    covariance = [[[1e-12, 0.0], [0.0, 1e-12]]] * 3
+    record = TemperatureRecord(
+        source="chamber",
+        reference_degc=40.0,
+        range_degc=[0.0, 80.0],
+        bias=CurveRecord("polynomial", "rad/s", [[1e-4, 2e-4, -1e-4]], covariance),
+    )
+    validity = {"rate_rad_s": [-4.0, 4.0], "temperature_degc": [0.0, 80.0]}
+    return msgspec.structs.replace(
+        document(parameters=scale, validity=validity), temperature=record
+    )
+
+
+AT_TEMPERATURES = """
+#include <stdio.h>
+#include "board.h"
+
+int main(void)
+{
+    const int32_t counts[3] = {10000, -8000, 12000};
+    float rate[3], degc;
+
+    printf("%d 0 0 0\\n", NAME_self_test());
+    NAME_rate_float(counts, rate);
+    printf("40 %.9g %.9g %.9g\\n", (double)rate[0], (double)rate[1], (double)rate[2]);
+    for (degc = 25.0f; degc < 80.0f; degc += 15.0f) {
+        NAME_rate_float_at(counts, degc, rate);
+        printf("%.9g %.9g %.9g %.9g\\n", (double)degc, (double)rate[0], (double)rate[1],
+               (double)rate[2]);
+    }
+    return 0;
+}
+"""
+
+
+def test_c_takes_the_reference_temperature_of_each_curve(
+    document: DocumentFactory, tmp_path: Path
+) -> None:
+    source = ExportSource.of(two_references(document))
+    header = c_header(source, "NAME")
+    first, *rows = run(compiled(tmp_path, header, AT_TEMPERATURES, "gcc", *FLAGS))
+    assert first[0] == 0.0
+    assert source.calibration is not None
+    output = np.array(rows)
+    counts = np.tile([10000, -8000, 12000], (len(rows), 1))
+    wanted = source.calibration.rates(counts, temperature_degc=output[:, 0])
+    np.testing.assert_allclose(output[:, 1:], wanted, atol=2e-6)
+
+
+def test_the_self_test_finds_a_wrong_reference_temperature(
+    document: DocumentFactory, tmp_path: Path
+) -> None:
+    header = c_header(ExportSource.of(two_references(document)), "NAME")
+    wrong = header.replace("warmth = degc - 25.0f", "warmth = degc - 40.0f")
+    assert wrong != header
+    rows = run(compiled(tmp_path, wrong, AT_TEMPERATURES, "gcc", *FLAGS))
+    assert rows[0][0] > 0
+
+
 def test_the_self_test_finds_a_wrong_number(document: DocumentFactory, tmp_path: Path) -> None:
     header = c_header(ExportSource.of(document()), "NAME")
     first = re.search(r"static const int32_t A\[3\]\[3\] = \{\s*\{(\d+)", header)
