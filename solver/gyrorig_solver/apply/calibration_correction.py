@@ -36,17 +36,7 @@ def build_correction(calibration: CalibrationDocument, frame: Frame = "stage") -
         InputError: the verdict is refused, or a needed parameter is not known.
     """
     name = f"{calibration.board.id} version {calibration.version}"
-    if calibration.trust.verdict == "refused":
-        reason = (
-            calibration.trust.reasons[0]
-            if calibration.trust.reasons
-            else "read the report of the calibration for the reason"
-        )
-        raise InputError(
-            f"the calibration of {name} must not be applied, because the solver gave it the "
-            "verdict `refused`",
-            reason,
-        )
+    _check_verdict(calibration, name)
     bias = _known_values(calibration, "bias", name)
     inverse = _inverse_gain(calibration, frame, name)
     not_applied: list[str] = []
@@ -73,6 +63,25 @@ def build_correction(calibration: CalibrationDocument, frame: Frame = "stage") -
         lag_s=lag_s,
         not_applied=tuple(dict.fromkeys(not_applied)),
     )
+
+
+def _check_verdict(calibration: CalibrationDocument, name: str) -> None:
+    """Check that the solver did not refuse the calibration.
+
+    Raises:
+        InputError: it did.
+    """
+    if calibration.trust.verdict == "refused":
+        reason = (
+            calibration.trust.reasons[0]
+            if calibration.trust.reasons
+            else "read the report of the calibration for the reason"
+        )
+        raise InputError(
+            f"the calibration of {name} must not be applied, because the solver gave it the "
+            "verdict `refused`",
+            reason,
+        )
 
 
 def _inverse_gain(calibration: CalibrationDocument, frame: Frame, name: str) -> FloatArray:
@@ -106,15 +115,10 @@ def build_bias_correction(calibration: CalibrationDocument) -> Correction:
     """Return a correction that subtracts the bias and keeps the nominal scale.
 
     Raises:
-        InputError: the calibration determines nothing, or not the bias.
+        InputError: the verdict is refused, or the bias is not known.
     """
     name = f"{calibration.board.id} version {calibration.version}"
-    if calibration.trust.verdict == "refused" and calibration.observability.rank == 0:
-        raise InputError(
-            f"the calibration of {name} has no value for any parameter, so it cannot be applied",
-            "read the report of the calibration for the reason, record a motion about all "
-            "three axes, and solve again",
-        )
+    _check_verdict(calibration, name)
     zeros = np.zeros(3)
     curve, _ = _temperature_curves(calibration, [])
     return Correction(

@@ -192,12 +192,13 @@ def test_an_unobservable_gain_is_not_applied(document: DocumentFactory) -> None:
     )
 
 
+@pytest.mark.parametrize("bias_only", [False, True])
 def test_a_calibration_with_the_verdict_refused_raises_its_reason(
-    document: DocumentFactory,
+    document: DocumentFactory, bias_only: bool
 ) -> None:
     trust = {"verdict": "refused", "reasons": ["the residual is too large: check the signs"]}
     with pytest.raises(InputError, match=r"must not be applied, because .*check the signs"):
-        Calibration(document(trust=trust))
+        Calibration(document(trust=trust), bias_only=bias_only)
 
 
 @pytest.mark.parametrize("bad", [np.ones(4), np.ones((2, 2, 3)), np.array(["a", "b", "c"])])
