@@ -32,7 +32,13 @@ from gyrorig_solver.model import BoardTemperature
 from gyrorig_solver.model.board_temperature import MIN_READINGS
 
 SAMPLES_PER_BATCH = 1 << 16
-_BOARD_SETTINGS = ("gyro_scale_rad_s", "gyro_full_scale_dps", "bandwidth_hz", "config_hash")
+_BOARD_SETTINGS = (
+    "odr_hz",
+    "gyro_scale_rad_s",
+    "gyro_full_scale_dps",
+    "bandwidth_hz",
+    "config_hash",
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,6 +53,7 @@ class RecordingSummary:
     outside_warmth: int  # temperatures outside their range, of a constant bias
     outside_temperature: int  # samples left out: outside the range of a bias with temperature
     losses: tuple[str, ...]  # damaged parts of the recording, missing in the copy
+    other_uid: str | None = None  # of the board, if it is not that of the calibration
 
 
 def apply_to_recording(
@@ -62,12 +69,20 @@ def apply_to_recording(
 
     Raises:
         InputError: `source` is no recording, does not hold the board, or the board was
-            configured differently when it was calibrated.
+            configured differently when it was calibrated, or has another uid and was not named.
         UsageError: `out` exists, or a needed quantity was not recorded.
         MachineError: the disk cannot be written; no file remains.
     """
     recording = read_recording(source)
     name = _choose_board(calibration, recording, board)
+    other_uid = _other_uid(calibration, recording, name)
+    if other_uid is not None and board is None:
+        raise InputError(
+            f"the calibration is of board {name} with the uid "
+            f"{calibration.document.board.uid[:40]!r}, but in {recording.path.name} this board has "
+            f"the uid {other_uid[:40]!r}",
+            f"calibrate this board, or use the calibration for it with --board {name}",
+        )
     _check_settings(calibration, recording, name)
     samples = load_samples(recording, name)
     if calibration.correction.needs_temperature and samples.temperature is None:
@@ -97,6 +112,7 @@ def apply_to_recording(
         outside_warmth=builder.temperatures_outside,
         outside_temperature=builder.left_out,
         losses=tuple(loss.text for loss in copied.losses),
+        other_uid=other_uid,
     )
 
 
@@ -109,6 +125,12 @@ def _choose_board(calibration: Calibration, recording: Recording, wanted: str | 
             "if the same board has another name in the recording, give this name with --board",
         )
     return BoardId(name)
+
+
+def _other_uid(calibration: Calibration, recording: Recording, board: BoardId) -> str | None:
+    """Return the uid of the recorded board, None if it can be that of the calibration."""
+    uid = recording.metadata.get(f"gyrorig.board.{board}", {}).get("uid", "")
+    return uid if calibration.document.board.has_other_uid(uid) else None
 
 
 def _check_settings(calibration: Calibration, recording: Recording, board: BoardId) -> None:

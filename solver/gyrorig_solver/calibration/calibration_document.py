@@ -18,6 +18,8 @@ MODEL = "y = S T M omega + b"
 
 Matrix = list[list[float | None]]
 
+UNKNOWN_UIDS = frozenset({"", "unknown"})  # of old boards, imports and tables
+
 
 class _DocumentPart(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Base of the document's parts: unknown keys are errors."""
@@ -40,6 +42,10 @@ class BoardRecord(_DocumentPart, frozen=True):
     uid: str
     sensor: str
     config: BoardSettings
+
+    def has_other_uid(self, uid: str) -> bool:
+        """Return whether this board and the board with `uid` are different; both must be known."""
+        return not {self.uid, uid} & UNKNOWN_UIDS and self.uid != uid
 
 
 class SolvedInput(_DocumentPart, frozen=True):

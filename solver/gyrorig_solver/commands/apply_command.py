@@ -157,6 +157,12 @@ def _apply_to_recording(
 
     result = apply_to_recording(correction, source, out, board)
     terminal.print_result(f"{source.name}: {result.messages} messages on {result.topic}")
+    if result.other_uid is not None:
+        terminal.print_result(
+            f"  remark: board {result.board} of the recording has the uid "
+            f"{result.other_uid[:40]!r}, but the calibration is of the uid "
+            f"{correction.document.board.uid[:40]!r}"
+        )
     if result.left_out:
         terminal.print_result(
             f"  remark: {result.left_out} saturated or repeated samples were left out"

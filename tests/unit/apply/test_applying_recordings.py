@@ -44,7 +44,13 @@ def counts() -> np.ndarray:
 def source(tmp_path: Path, counts: np.ndarray) -> Path:
     """Write 5 s of a board: samples arrive in time but for 1 ms, two of them are not good."""
     board = {
-        **{"uid": "u", "sensor": "L3G4200D", "link": "serial", "tick_hz": "1000000.0"},
+        **{
+            "uid": "0123456789abcdef",
+            "odr_hz": "100",
+            "sensor": "L3G4200D",
+            "link": "serial",
+            "tick_hz": "1000000.0",
+        },
         **{"gyro_scale_rad_s": repr(SCALE), "accel_scale_m_s2": repr(FORCE)},
         **{"counter_bits": "32", "bandwidth_hz": "25.0", "config_hash": "c0ffee"},
     }
@@ -208,6 +214,33 @@ def test_a_board_with_another_setting_is_rejected(
     assert summary.board == BOARD
 
 
+def test_a_board_with_another_output_rate_is_rejected(
+    document: DocumentFactory, source: Path, tmp_path: Path
+) -> None:
+    other = Calibration(document(config={"odr_hz": 200.0, "config_hash": None}))
+    with pytest.raises(InputError, match=r"odr_hz = 200\.0, but in .* has odr_hz = 100"):
+        apply_to_recording(other, source, tmp_path / "out.mcap")
+
+
+def test_a_board_with_another_uid_is_rejected_or_remarked(
+    document: DocumentFactory, source: Path, tmp_path: Path, capsys: Captured
+) -> None:
+    made = document()
+    other = msgspec.structs.replace(made, board=msgspec.structs.replace(made.board, uid="OTHER"))
+    path = tmp_path / "other.yaml"
+    path.write_text(documents.calibration_as_yaml(other))
+    command = ["apply", str(path), str(source), "-o", str(tmp_path / "out.mcap")]
+    assert cli.run(command) == 3
+    assert "this board has the uid '0123456789abcdef'" in capsys.readouterr().err
+    assert cli.run([*command, "--board", str(BOARD)]) == 0
+    assert "the calibration is of the uid 'OTHER'" in capsys.readouterr().out
+    unknown = msgspec.structs.replace(
+        made, board=msgspec.structs.replace(made.board, uid="unknown")
+    )
+    summary = apply_to_recording(Calibration(unknown), source, tmp_path / "two.mcap")
+    assert summary.other_uid is None
+
+
 def test_an_existing_copy_is_not_overwritten(golden: Path, source: Path, tmp_path: Path) -> None:
     result = Calibration.load(golden)
     apply_to_recording(result, source, tmp_path / "out.mcap")
@@ -224,7 +257,7 @@ def test_temperatures_are_taken_from_the_recording(
 ) -> None:
     """A ramp of 1 K a second; a thermometer that is late by 5 s reads 5 K less than the die."""
     count = 800
-    board = {"uid": "u", "sensor": "X", "link": "file", "gyro_scale_rad_s": repr(SCALE)}
+    board = {"uid": "unknown", "sensor": "X", "link": "file", "gyro_scale_rad_s": repr(SCALE)}
     board |= {"tick_hz": "1e6", "temperature_scale_c": "0.01", "temperature_offset_c": "25.0"}
     metadata = {"session": "s", "anchor_utc_ns": "0", "anchor_monotonic_raw_ns": "0"}
     writer = RecordingWriter(

@@ -53,7 +53,6 @@ from gyrorig_solver.storage import (
 )
 
 VERSIONS_CHECKED = 3  # latest versions that are checked for this job's result
-UNKNOWN_UIDS = frozenset({"", "unknown"})  # of old boards, imports and tables
 
 
 @dataclass(frozen=True, slots=True)
@@ -371,8 +370,7 @@ def _check_newest_versions(
     config = job.settings.config_sha256
     for stored in reversed(newest):
         calibration = _parse_cached(stored.data(), str(stored.path))
-        are_known = not {uid, calibration.board.uid} & UNKNOWN_UIDS
-        if stored is newest[-1] and are_known and calibration.board.uid != uid:
+        if stored is newest[-1] and calibration.board.has_other_uid(uid):
             raise InputError(
                 f"board {board} has the uid {uid[:40]!r} in the recording, but "
                 f"{calibration.board.uid[:40]!r} in the store, so two boards have the same "
