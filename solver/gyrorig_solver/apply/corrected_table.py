@@ -21,7 +21,11 @@ import numpy as np
 from gyrorig_protocol.errors import InputError, MachineError, UsageError
 from gyrorig_solver.apply.board_calibration import Calibration, ReadingUnit
 from gyrorig_solver.data import BoolArray, FloatArray
-from gyrorig_solver.data.text_table import check_text_table
+from gyrorig_solver.data.text_table import (
+    check_column_names,
+    check_row_width,
+    check_text_table,
+)
 
 RATE_COLUMNS = ("rate_x_rad_s", "rate_y_rad_s", "rate_z_rad_s")
 TIME_COLUMN = "time_of_motion_s"
@@ -186,12 +190,7 @@ class _TableWriter:
                     f"the table {self._name} has no column {name!r}",
                     f"choose one of the columns {column_names}",
                 )
-            if names.count(name) > 1:
-                raise InputError(
-                    f"the table {self._name} has {names.count(name)} columns with the name "
-                    f"{name!r}",
-                    "give each column in the header of the table another name",
-                )
+        check_column_names(names, self._columns.names, self._name)
         return [names.index(name) for name in self._columns.names]
 
     def _split(self, line: str, delimiter: str, number: int) -> list[str]:
@@ -206,17 +205,12 @@ class _TableWriter:
     def _check_widths(
         self, block: Sequence[str], delimiter: str, width: int, rows_before: int
     ) -> None:
-        """Check that each row has the cells of the header; another number shifts the rates."""
+        """Check that each row has the cells of the header; count the delimiters first."""
         for number, line in enumerate(block, start=rows_before + 1):
             if line.count(delimiter) == width - 1:
                 continue
             cells = self._split(line, delimiter, number)
-            if len(cells) != width:
-                raise InputError(
-                    f"row {number} of the table {self._name} has {len(cells)} columns, but the "
-                    f"header has {width}",
-                    "correct or remove the row, or export the table without decimal commas",
-                )
+            check_row_width(len(cells), width, number, self._name)
 
     def _parse_block(
         self, block: Sequence[str], delimiter: str, column_indices: Sequence[int], rows_before: int

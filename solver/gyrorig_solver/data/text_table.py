@@ -1,4 +1,4 @@
-"""Text tables: a check of a file before it is read as a table, and aligned columns to print."""
+"""Text tables: checks of a file, its header and its rows, and aligned columns to print."""
 
 from collections.abc import Collection, Sequence
 from pathlib import Path
@@ -26,6 +26,34 @@ def check_text_table(path: Path) -> None:
     if kind not in _POSSIBLE_TABLES:
         raise InputError(
             f"the file {path.name} is {kind}, not a text table", "give a text table (CSV)"
+        )
+
+
+def check_column_names(names: Sequence[str], used: Sequence[str], table: str) -> None:
+    """Check that each used column occurs once in the header of a table.
+
+    Raises:
+        InputError: a column occurs more than once.
+    """
+    for name in used:
+        if names.count(name) > 1:
+            raise InputError(
+                f"the table {table} has {names.count(name)} columns with the name {name!r}",
+                "give each column in the header of the table another name",
+            )
+
+
+def check_row_width(cell_count: int, width: int, number: int, table: str) -> None:
+    """Check that a row has the cells of the header; another number shifts the values.
+
+    Raises:
+        InputError: it has more or fewer.
+    """
+    if cell_count != width:
+        raise InputError(
+            f"row {number} of the table {table} has {cell_count} columns, but the header has "
+            f"{width}",
+            "correct or remove the row, or export the table without decimal commas",
         )
 
 

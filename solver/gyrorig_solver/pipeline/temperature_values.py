@@ -32,7 +32,11 @@ from gyrorig_solver.calibration.calibration_document import (
 from gyrorig_solver.calibration.reference_temperature import bias_temperature_degc
 from gyrorig_solver.calibration.temperature_record import TemperaturePoint
 from gyrorig_solver.data import FloatArray
-from gyrorig_solver.data.text_table import check_text_table
+from gyrorig_solver.data.text_table import (
+    check_column_names,
+    check_row_width,
+    check_text_table,
+)
 from gyrorig_solver.data.utc_time import utc_text_now
 from gyrorig_solver.estimate import TemperatureFit, fit_temperature
 from gyrorig_solver.estimate.temperature import BiasTable
@@ -167,10 +171,10 @@ def _table_rows(path: Path, unit: float) -> list[dict[str, float]]:
             f"the table {path} cannot be read ({fault.strerror})", TABLE_REMEDY
         ) from fault
     delimiter = max(",;\t", key=(lines[0] if lines else "").count)
-    reader = csv.DictReader(lines, delimiter=delimiter, skipinitialspace=True)
+    reader = csv.reader(lines, delimiter=delimiter, skipinitialspace=True)
     try:
-        names = [name.strip() for name in reader.fieldnames or []]
-        rows = list(reader)
+        names = [name.strip() for name in next(reader, [])]
+        rows = [cells for cells in reader if cells]
     except csv.Error as fault:
         raise InputError(f"the table {path.name} cannot be read ({fault})", TABLE_REMEDY) from fault
     missing = [
@@ -178,18 +182,23 @@ def _table_rows(path: Path, unit: float) -> list[dict[str, float]]:
     ]
     if missing:
         raise InputError(f"the table {path.name} has no column {missing[0]!r}", TABLE_REMEDY)
-    return [_table_row(row, number, path.name, unit) for number, row in enumerate(rows, start=1)]
+    check_column_names(names, sorted(_TABLE_COLUMNS), path.name)
+    for number, cells in enumerate(rows, start=1):
+        check_row_width(len(cells), len(names), number, path.name)
+    return [
+        _table_row(dict(zip(names, cells, strict=True)), number, path.name, unit)
+        for number, cells in enumerate(rows, start=1)
+    ]
 
 
 def _table_row(row: dict[str, str], number: int, name: str, unit: float) -> dict[str, float]:
     values = {}
-    for column, text in row.items():
-        key = (column or "").strip()
+    for key, text in row.items():
         if key not in _TABLE_COLUMNS:
             continue
         try:
             value = float(text)
-        except (TypeError, ValueError):
+        except ValueError:
             value = np.nan
         if not np.isfinite(value):
             raise InputError(

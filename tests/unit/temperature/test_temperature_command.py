@@ -243,6 +243,24 @@ def test_values_that_are_not_possible_are_refused(
     assert text.count("\n") == 1
 
 
+@pytest.mark.parametrize(
+    ("header", "row", "message_part"),
+    [
+        ("", "{t},5,0.11,-0.42,0.21", "row 1 of the table chamber.csv has 5 columns, but the"),
+        ("", "{t},0.11,-0.42", "row 1 of the table chamber.csv has 3 columns, but the"),
+        (",bias_x", "{t},0.1,0.2,0.3,{t}", "chamber.csv has 2 columns with the name 'bias_x'"),
+    ],
+)
+def test_shifted_and_repeated_columns_are_refused(
+    header: str, row: str, message_part: str, tmp_path: Path, capsys: Captured
+) -> None:
+    rows = [row.format(t=10 * k) for k in range(6)]
+    path = tmp_path / "chamber.csv"
+    path.write_text("\n".join(["temperature_degc,bias_x,bias_y,bias_z" + header, *rows]))
+    assert cli.run(["temperature", str(path), "--board", "B", "--out", str(tmp_path)]) == 3
+    assert message_part in capsys.readouterr().err
+
+
 def test_a_file_that_is_given_twice_is_refused(
     table: Path, tmp_path: Path, capsys: Captured
 ) -> None:
