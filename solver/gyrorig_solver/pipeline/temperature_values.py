@@ -110,8 +110,11 @@ def read_values(paths: Sequence[Path], unit: str) -> TemperatureValues:
             f"give at least {MIN_ROWS} values at different temperatures",
         )
     bias, bias_std = _columns(rows, "bias", 0.0)
+    _check_uncertainties(bias_std, "the bias")
     has_scale = all(f"scale_{axis}" in row for row in rows for axis in AXES)
     scale, scale_std = _columns(rows, "scale", 0.0) if has_scale else (None, None)
+    if scale_std is not None:
+        _check_uncertainties(scale_std, "the scale factor")
     return TemperatureValues(
         ", ".join(path.name for path in paths),
         np.array([row["temperature_degc"] for row in rows]),
@@ -129,6 +132,22 @@ def _columns(
     value = np.array([[row[f"{name}_{axis}"] for axis in AXES] for row in rows])
     std = np.array([[row.get(f"{name}_std_{axis}", no_std) for axis in AXES] for row in rows])
     return value, std
+
+
+def _check_uncertainties(std: FloatArray, quantity: str) -> None:
+    """Check that all values of an axis have an uncertainty, or none.
+
+    The fit estimates a common scatter in addition to the known uncertainties, so a value without an
+    uncertainty would have the largest weight.
+
+    Raises:
+        UsageError: some have it.
+    """
+    if ((std > 0.0).any(axis=0) & (std == 0.0).any(axis=0)).any():
+        raise UsageError(
+            f"some values of {quantity} have a standard uncertainty, and others have none",
+            "give the uncertainties of all values, or of none",
+        )
 
 
 def _calibration_row(document: CalibrationDocument, name: str) -> dict[str, float]:

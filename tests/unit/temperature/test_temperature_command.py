@@ -261,6 +261,20 @@ def test_shifted_and_repeated_columns_are_refused(
     assert message_part in capsys.readouterr().err
 
 
+@pytest.mark.parametrize(("name", "words"), [("bias", "the bias"), ("scale", "the scale factor")])
+def test_values_with_and_without_an_uncertainty_are_refused(
+    name: str, words: str, table: Path, tmp_path: Path, capsys: Captured
+) -> None:
+    header, *rows = table.read_text().splitlines()
+    columns = ",".join(f"{name}_std_{axis}" for axis in "xyz")
+    stated = tmp_path / "stated.csv"
+    stated.write_text("\n".join([f"{header},{columns}", *(f"{r},1e-3,1e-3,1e-3" for r in rows)]))
+    command = ["temperature", "--board", "B", "--out", str(tmp_path)]
+    assert cli.run([*command, str(table), str(stated)]) == 2
+    assert f"some values of {words} have a standard uncertainty" in capsys.readouterr().err
+    assert cli.run([*command, str(stated)]) == 0
+
+
 def test_a_file_that_is_given_twice_is_refused(
     table: Path, tmp_path: Path, capsys: Captured
 ) -> None:
