@@ -4,8 +4,10 @@ What to use when: `read_values` for the inputs, `with_temperature_curves` for th
 """
 
 import csv
-from collections.abc import Sequence
+import math
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from decimal import Decimal
 from importlib.metadata import version as installed_version
 from pathlib import Path
 
@@ -66,7 +68,7 @@ class TemperatureValues:
     source: str
     temperature_degc: FloatArray  # (n,)
     bias: FloatArray  # (n, 3), rad/s
-    bias_std: FloatArray  # (n, 3), zero if it is not known
+    bias_std: FloatArray  # (n, 3), not below that of rounding; zero if neither is known
     scale: FloatArray | None  # (n, 3); None if it is not given
     scale_std: FloatArray | None
     template: CalibrationDocument | None  # the last calibration among the inputs
@@ -109,12 +111,9 @@ def read_values(paths: Sequence[Path], unit: str) -> TemperatureValues:
             f"{len(rows)} values of the bias are too few for a curve against the temperature",
             f"give at least {MIN_ROWS} values at different temperatures",
         )
-    bias, bias_std = _columns(rows, "bias", 0.0)
-    _check_uncertainties(bias_std, "the bias")
+    bias, bias_std = _columns(rows, "bias")
     has_scale = all(f"scale_{axis}" in row for row in rows for axis in AXES)
-    scale, scale_std = _columns(rows, "scale", 0.0) if has_scale else (None, None)
-    if scale_std is not None:
-        _check_uncertainties(scale_std, "the scale factor")
+    scale, scale_std = _columns(rows, "scale") if has_scale else (None, None)
     return TemperatureValues(
         ", ".join(path.name for path in paths),
         np.array([row["temperature_degc"] for row in rows]),
@@ -126,12 +125,27 @@ def read_values(paths: Sequence[Path], unit: str) -> TemperatureValues:
     )
 
 
-def _columns(
-    rows: Sequence[dict[str, float]], name: str, no_std: float
-) -> tuple[FloatArray, FloatArray]:
+def _columns(rows: Sequence[dict[str, float]], name: str) -> tuple[FloatArray, FloatArray]:
+    """Return the values of a quantity, (n, 3), and their uncertainties, at least of rounding."""
     value = np.array([[row[f"{name}_{axis}"] for axis in AXES] for row in rows])
-    std = np.array([[row.get(f"{name}_std_{axis}", no_std) for axis in AXES] for row in rows])
-    return value, std
+    std = np.array([[row.get(f"{name}_std_{axis}", 0.0) for axis in AXES] for row in rows])
+    _check_uncertainties(std, {"bias": "the bias", "scale": "the scale factor"}[name])
+    rounding = np.array([[row.get(_rounding_key(name), 0.0)] for row in rows])
+    return value, np.maximum(std, rounding)
+
+
+def _rounding_key(name: str) -> str:
+    return f"{name}_rounding_std"
+
+
+def _rounding_std(texts: Iterable[str]) -> float:
+    """Return the standard uncertainty of rounding to the finest digit of numbers, as text.
+
+    Without it, the scatter of an axis whose values are all equal would be zero.
+    """
+    exponents = [Decimal(text.strip()).as_tuple().exponent for text in texts]
+    finest = min((power for power in exponents if isinstance(power, int)), default=0)
+    return float(10.0 ** min(finest, 0)) / math.sqrt(12.0)
 
 
 def _check_uncertainties(std: FloatArray, quantity: str) -> None:
@@ -204,10 +218,16 @@ def _table_rows(path: Path, unit: float) -> list[dict[str, float]]:
     check_column_names(names, sorted(_TABLE_COLUMNS), path.name)
     for number, cells in enumerate(rows, start=1):
         check_row_width(len(cells), len(names), number, path.name)
-    return [
-        _table_row(dict(zip(names, cells, strict=True)), number, path.name, unit)
-        for number, cells in enumerate(rows, start=1)
+    cells_by_name = [dict(zip(names, cells, strict=True)) for cells in rows]
+    values = [
+        _table_row(row, number, path.name, unit) for number, row in enumerate(cells_by_name, 1)
     ]
+    rounding = {}
+    for quantity, factor in (("bias", unit), ("scale", 1.0)):
+        columns = [column for axis in AXES if (column := f"{quantity}_{axis}") in names]
+        texts = [row[column] for row in cells_by_name for column in columns]
+        rounding[_rounding_key(quantity)] = factor * _rounding_std(texts)
+    return [row | rounding for row in values]
 
 
 def _table_row(row: dict[str, str], number: int, name: str, unit: float) -> dict[str, float]:

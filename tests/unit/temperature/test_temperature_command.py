@@ -261,6 +261,28 @@ def test_shifted_and_repeated_columns_are_refused(
     assert message_part in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("constant", ["0.20", "0.200000", "0"])
+def test_an_axis_that_is_constant_at_the_resolution_hides_no_curve(
+    constant: str, tmp_path: Path, capsys: Captured
+) -> None:
+    rng = np.random.default_rng(2)
+    rows = [
+        f"{t},{0.11 + 0.01 * t + rng.normal(0, 0.01):.2f},"
+        f"{0.4 - 0.006 * t + rng.normal(0, 0.01):.2f},{constant}"
+        for t in range(-10, 61, 10)
+    ]
+    path = tmp_path / "chamber.csv"
+    path.write_text("\n".join(["temperature_degc,bias_x,bias_y,bias_z", *rows]))
+    document, _ = solved([str(path), "--board", "B"], tmp_path / "cal", capsys)
+    assert document.temperature is not None
+    assert document.temperature.bias is not None
+    slope, std = document.temperature.bias.coefficients[0], document.parameters["bias"].std
+    np.testing.assert_allclose(np.degrees(slope), [0.01, -0.006, 0.0], atol=4e-4)
+    assert isinstance(std, list)
+    assert std[2] is not None
+    assert std[2] > 0.0
+
+
 @pytest.mark.parametrize(("name", "words"), [("bias", "the bias"), ("scale", "the scale factor")])
 def test_values_with_and_without_an_uncertainty_are_refused(
     name: str, words: str, table: Path, tmp_path: Path, capsys: Captured
