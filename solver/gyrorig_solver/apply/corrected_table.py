@@ -86,15 +86,7 @@ def apply_to_table(
             "give the column of the temperature with --temperature",
         )
     temporary: Path | None = None
-    try:
-        check_text_table(source)
-        lines = source.open(encoding="utf-8-sig", errors="surrogateescape", newline="")
-    except OSError as fault:
-        raise InputError(
-            f"the table {source} cannot be read ({fault.strerror})",
-            "give the path of a readable table (CSV)",
-        ) from fault
-    with lines:
+    with open_table(source) as lines:
         try:
             handle, name = tempfile.mkstemp(prefix=f".{out.name}.", dir=out.parent)
             temporary = Path(name)
@@ -114,6 +106,22 @@ def apply_to_table(
                 with suppress(FileNotFoundError):
                     temporary.unlink()
     return summary
+
+
+def open_table(source: Path) -> TextIO:
+    """Return an open text table.
+
+    Raises:
+        InputError: the file cannot be read, or is of another kind.
+    """
+    try:
+        check_text_table(source)
+        return source.open(encoding="utf-8-sig", errors="surrogateescape", newline="")
+    except OSError as fault:
+        raise InputError(
+            f"the table {source} cannot be read ({fault.strerror})",
+            "give the path of a readable table (CSV)",
+        ) from fault
 
 
 class _TableWriter:

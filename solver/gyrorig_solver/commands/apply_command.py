@@ -17,9 +17,9 @@ from gyrorig_solver.apply.corrected_table import (
     TIME_UNITS_S,
     TableColumns,
     apply_to_table,
+    open_table,
 )
 from gyrorig_solver.commands.terminal import Terminal, choice_option, json_option, output_option
-from gyrorig_solver.data.text_table import check_text_table
 
 _RECORDING_SUFFIXES = (".mcap", ".part")
 
@@ -99,7 +99,7 @@ def apply_command(
                 f"the option --board is only for recordings, but {source.name} is a table",
                 "remove the option --board",
             )
-        check_text_table(source)
+        open_table(source).close()  # a file of another kind is stated before a missing option
         table_columns = _table_columns(source, columns, unit, temperature, time, time_unit)
         result_json = _apply_to_table(terminal, correction, source, out, table_columns)
     not_applied = [

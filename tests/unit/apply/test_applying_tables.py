@@ -104,6 +104,15 @@ def test_an_unusable_table_is_rejected_and_no_file_remains(
     assert sorted(p.name for p in tmp_path.iterdir()) == ["in.csv", "v0001.yaml"]
 
 
+@pytest.mark.parametrize("name", ["none.csv", "."])
+def test_a_table_that_cannot_be_read_is_refused(
+    golden: Path, tmp_path: Path, name: str, capsys: Captured
+) -> None:
+    command = ["apply", str(golden), str(tmp_path / name), "-o", str(tmp_path / "out.csv")]
+    assert cli.run([*command, "--columns", "gx,gy,gz"]) == 3
+    assert "cannot be read" in capsys.readouterr().err
+
+
 def test_the_mark_of_a_spreadsheet_is_no_part_of_a_name(golden: Path, tmp_path: Path) -> None:
     """Excel writes a byte order mark; a quoted cell may contain the delimiter."""
     (tmp_path / "in.csv").write_bytes(b'\xef\xbb\xbfgx,gy,gz,note\r\n1,2,3,"a, b"\r\n')
