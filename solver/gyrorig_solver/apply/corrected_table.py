@@ -59,6 +59,7 @@ class TableSummary:
     outside: int  # rates above the range of the calibration's recordings
     without: int  # rows with a reading that is not a number; their rates stay empty
     outside_range: int = 0  # rows at temperatures outside the valid range; their rates stay empty
+    outside_warmth: int = 0  # rows at temperatures outside that of a constant bias
 
 
 def apply_to_table(
@@ -146,7 +147,7 @@ class _TableWriter:
                 "apply the calibration to the original table",
             )
         target.write(header.rstrip("\r\n") + delimiter + delimiter.join(added) + "\n")
-        rows = outside = without = outside_range = 0
+        rows = outside = without = outside_range = outside_warmth = 0
         row_text = delimiter.join([_RATE_FORMAT] * 3 + (["%.9f"] if self._columns.time else []))
         empty = delimiter * (len(added) - 1)
         for block in _blocks(lines):
@@ -159,6 +160,7 @@ class _TableWriter:
             )
             is_outside = self._is_outside_range(values)
             outside_range += int(is_outside.sum())
+            outside_warmth += self._count_outside_warmth(values)
             without += int((is_invalid & ~is_outside).sum())
             cells = [row_text % tuple(row) for row in corrected.tolist()]
             for at in np.flatnonzero(is_invalid).tolist():
@@ -181,7 +183,7 @@ class _TableWriter:
                 "degC, the valid range of the calibration",
                 "record the board at rest at these temperatures, and solve again",
             )
-        return TableSummary(rows, outside, without, outside_range)
+        return TableSummary(rows, outside, without, outside_range, outside_warmth)
 
     def _is_outside_range(self, values: FloatArray) -> BoolArray:
         """Return the rows at temperatures outside the valid range, (n,)."""
@@ -189,6 +191,15 @@ class _TableWriter:
             return np.zeros(len(values), dtype=np.bool_)
         covered = self._calibration.correction.covers(values[:, 3])
         return np.asarray(np.isfinite(values[:, 3]) & ~covered, dtype=np.bool_)
+
+    def _count_outside_warmth(self, values: FloatArray) -> int:
+        """Return how many rows are outside the temperatures of a constant bias."""
+        low_high = self._calibration.document.validity.temperature_degc
+        is_constant = not self._calibration.correction.needs_temperature
+        if self._columns.temperature is None or low_high is None or not is_constant:
+            return 0
+        degc = values[:, 3]
+        return int(np.sum((degc < low_high[0]) | (degc > low_high[1])))
 
     def _column_indices(self, names: Sequence[str]) -> list[int]:
         for name in self._columns.names:

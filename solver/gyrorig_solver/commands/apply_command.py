@@ -173,13 +173,9 @@ def _apply_to_recording(
         terminal.print_result(
             _temperature_remark(correction, result.outside_temperature, "samples")
         )
-    temperature_range = correction.document.validity.temperature_degc
-    if result.outside_warmth and temperature_range is not None:
-        low, high = temperature_range
+    if result.outside_warmth:
         terminal.print_result(
-            f"  remark: {result.outside_warmth} of {result.messages} samples were taken outside "
-            f"{low:.1f} to {high:.1f} degC, the temperatures of this calibration. Their rates are "
-            "extrapolated."
+            _warmth_remark(correction, result.outside_warmth, result.messages, "samples")
         )
     if correction.time_offset_s is None:
         terminal.print_result(
@@ -201,7 +197,20 @@ def _apply_to_table(
         terminal.print_result(f"  remark: {result.without} rows have no reading and get no rate")
     if result.outside:
         terminal.print_result(_rate_remark(correction, result.outside, result.rows, "rows"))
+    if result.outside_warmth:
+        terminal.print_result(
+            _warmth_remark(correction, result.outside_warmth, result.rows, "rows")
+        )
     return asdict(result)
+
+
+def _warmth_remark(correction: Calibration, outside: int, total: int, unit: str) -> str:
+    """Return a remark on samples outside the temperatures of a constant bias."""
+    low, high = correction.document.validity.temperature_degc or (math.nan, math.nan)
+    return (
+        f"  remark: {outside} of {total} {unit} were taken outside {low:.1f} to {high:.1f} degC, "
+        "the temperatures of this calibration. Their rates are extrapolated."
+    )
 
 
 def _temperature_remark(correction: Calibration, count: int, unit: str) -> str:

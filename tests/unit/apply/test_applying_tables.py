@@ -157,6 +157,20 @@ def test_a_folder_that_cannot_be_written(golden: Path, tmp_path: Path, capsys: C
     assert "cannot be written" in capsys.readouterr().err
 
 
+def test_temperatures_outside_those_of_a_constant_bias_are_remarked(
+    tmp_path: Path, document: Callable[..., Document], capsys: Captured
+) -> None:
+    (tmp_path / "in.csv").write_text("gx,gy,gz,T\n0,0,0,25\n0,0,0,60\n0,0,0,\n")
+    made = document(validity={"rate_rad_s": [-4.0, 4.0], "temperature_degc": [24.0, 26.0]})
+    (tmp_path / "constant.yaml").write_text(calibration_as_yaml(made))
+    base = ["apply", str(tmp_path / "constant.yaml"), str(tmp_path / "in.csv")]
+    base += ["--columns", "gx,gy,gz", "--temperature", "T", "-o"]
+    assert cli.run([*base, str(tmp_path / "a.csv")]) == 0
+    assert "1 of 3 rows were taken outside 24.0 to 26.0 degC" in capsys.readouterr().out
+    assert cli.run([*base, str(tmp_path / "b.csv"), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["outside_warmth"] == 1
+
+
 def test_a_needed_temperature_column_is_required_and_used(
     tmp_path: Path, document: Callable[..., Document], capsys: Captured
 ) -> None:
