@@ -60,6 +60,9 @@ class TableSummary:
     without: int  # rows with a reading that is not a number; their rates stay empty
     outside_range: int = 0  # rows at temperatures outside the valid range; their rates stay empty
     outside_warmth: int = 0  # rows at temperatures outside that of a constant bias
+    without_time: int = (
+        0  # rows with rates and without a time; their time of the motion stays empty
+    )
 
 
 def apply_to_table(
@@ -147,14 +150,16 @@ class _TableWriter:
                 "apply the calibration to the original table",
             )
         target.write(header.rstrip("\r\n") + delimiter + delimiter.join(added) + "\n")
-        rows = outside = without = outside_range = outside_warmth = 0
+        rows = outside = without = outside_range = outside_warmth = without_time = 0
         row_text = delimiter.join([_RATE_FORMAT] * 3 + (["%.9f"] if self._columns.time else []))
+        rate_text = delimiter.join([_RATE_FORMAT] * 3)
         empty = delimiter * (len(added) - 1)
         for block in _blocks(lines):
             values = self._parse_block(block, delimiter, column_indices, rows)
             self._check_widths(block, delimiter, len(names), rows)
             corrected = self._corrected(values)
-            is_invalid = ~np.isfinite(corrected).all(axis=1)
+            is_invalid = ~np.isfinite(corrected[:, :3]).all(axis=1)
+            has_no_time = ~is_invalid & ~np.isfinite(corrected).all(axis=1)
             outside += int(
                 np.sum(np.abs(corrected[~is_invalid, :3]).max(axis=1) > self._limit_rad_s)
             )
@@ -165,6 +170,9 @@ class _TableWriter:
             cells = [row_text % tuple(row) for row in corrected.tolist()]
             for at in np.flatnonzero(is_invalid).tolist():
                 cells[at] = empty
+            for at in np.flatnonzero(has_no_time).tolist():
+                cells[at] = rate_text % tuple(corrected[at, :3].tolist()) + delimiter
+            without_time += int(has_no_time.sum())
             target.write(
                 "".join(
                     f"{line}{delimiter}{text}\n" for line, text in zip(block, cells, strict=True)
@@ -183,7 +191,7 @@ class _TableWriter:
                 "degC, the valid range of the calibration",
                 "record the board at rest at these temperatures, and solve again",
             )
-        return TableSummary(rows, outside, without, outside_range, outside_warmth)
+        return TableSummary(rows, outside, without, outside_range, outside_warmth, without_time)
 
     def _is_outside_range(self, values: FloatArray) -> BoolArray:
         """Return the rows at temperatures outside the valid range, (n,)."""
@@ -292,4 +300,5 @@ class _TableWriter:
 def _blocks(lines: TextIO) -> Iterator[list[str]]:
     """Yield blocks of rows without line ends and without empty rows."""
     while block := list(islice(lines, ROWS_PER_BLOCK)):
-        yield [line.rstrip("\r\n") for line in block if line.strip()]
+        if rows := [line.rstrip("\r\n") for line in block if line.strip()]:
+            yield rows

@@ -195,6 +195,10 @@ def _apply_to_table(
         terminal.print_result(_temperature_remark(correction, result.outside_range, "rows"))
     if result.without:
         terminal.print_result(f"  remark: {result.without} rows have no reading and get no rate")
+    if result.without_time:
+        terminal.print_result(
+            f"  remark: {result.without_time} rows have no time and get no time of the motion"
+        )
     if result.outside:
         terminal.print_result(_rate_remark(correction, result.outside, result.rows, "rows"))
     if result.outside_warmth:

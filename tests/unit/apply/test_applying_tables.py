@@ -1,6 +1,7 @@
 """Tables: the text stays, the rates are right, and what is wrong is said in one line."""
 
 import json
+import warnings
 from collections.abc import Callable
 from pathlib import Path
 
@@ -70,6 +71,31 @@ def test_a_row_without_a_reading_has_no_rate(golden: Path, tmp_path: Path) -> No
     lines = (tmp_path / "out.csv").read_text().splitlines()
     assert [line.endswith(",,,") for line in lines] == [False, False, True, True, False]
     assert (summary.rows, summary.without) == (4, 2)
+
+
+def test_a_row_without_a_time_has_rates(golden: Path, tmp_path: Path, capsys: Captured) -> None:
+    (tmp_path / "in.csv").write_text("t,gx,gy,gz\n0,1,2,3\n,1,2,3\n2,,2,3\n")
+    command = ["apply", str(golden), str(tmp_path / "in.csv"), "--columns", "gx,gy,gz"]
+    assert cli.run([*command, "--time", "t", "-o", str(tmp_path / "out.csv")]) == 0
+    rows = [line.split(",")[4:] for line in (tmp_path / "out.csv").read_text().splitlines()[1:]]
+    assert rows[1] == [*rows[0][:3], ""]
+    assert rows[2] == ["", "", "", ""]
+    printed = capsys.readouterr().out
+    assert "1 rows have no time and get no time of the motion" in printed
+    assert "1 rows have no reading and get no rate" in printed
+
+
+def test_a_block_of_blank_lines_is_skipped(
+    golden: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(corrected_table, "ROWS_PER_BLOCK", 2)
+    (tmp_path / "in.csv").write_text("gx,gy,gz\n1,2,3\n4,5,6\n\n\n7,8,9\n")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        summary = apply_to_table(
+            Calibration.load(golden), tmp_path / "in.csv", tmp_path / "out.csv", TableColumns(GYRO)
+        )
+    assert summary.rows == 3
 
 
 @pytest.mark.parametrize(
