@@ -7,11 +7,13 @@ recording. `correction` has the inverse sensor model, `affine` the fast arithmet
 """
 
 from gyrorig_solver.apply.board_calibration import Calibration
+from gyrorig_solver.apply.calibration_correction import LAG_NOTE
 from gyrorig_solver.apply.calibration_file import read_calibration
 from gyrorig_solver.apply.correction import FRAMES, Correction, Frame
 
 __all__ = [
     "FRAMES",
+    "LAG_NOTE",
     "Calibration",
     "Correction",
     "Frame",

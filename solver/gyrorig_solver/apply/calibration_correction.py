@@ -21,6 +21,11 @@ LAG_NOTE = (
     "the lag of the die temperature is not applied, because the die is assumed to have the "
     "measured temperature"
 )
+HYSTERESIS_NOTE = (
+    "the hysteresis of the bias is not applied, because it depends on the temperatures before the "
+    "first reading"
+)
+BIAS_ONLY_NOTE = "the gain is not applied, because --bias-only keeps the nominal scale"
 NO_REFERENCE_NOTE = (
     "thermal causes are not applied, because the calibration has no reference temperature. Solve "
     "again with this version"
@@ -41,8 +46,7 @@ def build_correction(calibration: CalibrationDocument, frame: Frame = "stage") -
     inverse = _inverse_gain(calibration, frame, name)
     not_applied: list[str] = []
     curves = _temperature_curves(calibration, not_applied)
-    lag_s = _lag_s(calibration, curves[0])
-    not_applied += [LAG_NOTE] if lag_s else []
+    lag_s = _lag_s(calibration, curves[0], not_applied)
     force, force_notes = _g_sensitivity(calibration)
     not_applied += force_notes
     for parameter in calibration.parameters:
@@ -120,32 +124,37 @@ def build_bias_correction(calibration: CalibrationDocument) -> Correction:
     name = f"{calibration.board.id} version {calibration.version}"
     _check_verdict(calibration, name)
     zeros = np.zeros(3)
-    curve, _ = _temperature_curves(calibration, [])
+    not_applied = [BIAS_ONLY_NOTE]
+    curve, _ = _temperature_curves(calibration, not_applied)
     return Correction(
         frame="sensor",
         inverse=np.eye(3),
         bias_rad_s=_known_values(calibration, "bias", name),
         bias_curve=curve,
         scale_curve=None,
-        lag_s=_lag_s(calibration, curve),
+        lag_s=_lag_s(calibration, curve, not_applied),
         quadratic=zeros,
         cubic=zeros,
         asymmetry=zeros,
         force=np.zeros((3, 3)),
-        not_applied=("the gain is not applied, because --bias-only keeps the nominal scale",),
+        not_applied=tuple(dict.fromkeys(not_applied)),
     )
 
 
-def _lag_s(calibration: CalibrationDocument, curve: TemperatureCurve | None) -> float:
-    """Return the lag of the die temperature; zero without a curve of the bias."""
+def _lag_s(
+    calibration: CalibrationDocument, curve: TemperatureCurve | None, not_applied: list[str]
+) -> float:
+    """Return the lag of the die temperature, with a note; zero without a curve of the bias."""
     if curve is None:
         return 0.0
-    if calibration.temperature is not None:
-        return calibration.temperature.lag_s
     lag = calibration.parameters.get("thermal_bias.lag")
-    if lag is None:
-        return 0.0
-    return float(_values_or_zero(lag, calibration, "thermal_bias.lag", 1)[0])
+    lag_s = 0.0
+    if calibration.temperature is not None:
+        lag_s = calibration.temperature.lag_s
+    elif lag is not None:
+        lag_s = float(_values_or_zero(lag, calibration, "thermal_bias.lag", 1)[0])
+    not_applied += [LAG_NOTE] if lag_s else []
+    return lag_s
 
 
 def _temperature_curves(
@@ -154,6 +163,8 @@ def _temperature_curves(
     """Return the curves of bias and scale: of the section `temperature`, else of the causes."""
     record = calibration.temperature
     bias, scale = bias_curve(record), scale_curve(record)
+    if bias is not None and record and record.hysteresis and record.hysteresis.fitted:
+        not_applied.append(HYSTERESIS_NOTE)
     orders = _thermal_bias_orders(calibration)
     slope = _optional_values(calibration, "thermal_scale")
     if bias is None and orders:

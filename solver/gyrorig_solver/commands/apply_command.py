@@ -9,9 +9,8 @@ import click
 from click.core import ParameterSource
 
 from gyrorig_protocol.errors import UsageError
-from gyrorig_solver.apply import FRAMES, Calibration, Frame
+from gyrorig_solver.apply import FRAMES, LAG_NOTE, Calibration, Frame
 from gyrorig_solver.apply.board_calibration import READING_UNITS, ReadingUnit
-from gyrorig_solver.apply.calibration_correction import LAG_NOTE
 from gyrorig_solver.apply.corrected_table import (
     RATE_COLUMNS,
     TIME_UNITS_S,

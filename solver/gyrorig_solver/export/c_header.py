@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gyrorig_protocol.errors import UsageError
+from gyrorig_solver.apply import Correction
 from gyrorig_solver.data import FloatArray, IntArray
 from gyrorig_solver.export.c_temperature import (
     FLOAT_ULP,
@@ -152,7 +153,7 @@ def _header_comment(
         f"{fixed.error_bound_rad_s(limit):.2g} rad/s.",
         f"The fixed-point function can overflow if a count is outside +-{limit}.",
         f"{stem}_self_test returns 0 if the functions give the expected results.",
-        *source.omission_lines(("thermal_bias", "thermal_scale", "temperature.scale")),
+        *source.omission_lines(_carried_causes(source.correction)),
     ]
     if source.correction.needs_temperature:
         lines.append(
@@ -168,6 +169,13 @@ def _header_comment(
     yield "/*"
     yield from comment_lines(" * ", lines)
     yield " */"
+
+
+def _carried_causes(correction: Correction) -> tuple[str, ...]:
+    """Return the causes that the function with a temperature contains."""
+    bias = () if correction.bias_curve is None else ("thermal_bias",)
+    scale = () if correction.scale_curve is None else ("thermal_scale", "temperature.scale")
+    return (*bias, *scale)
 
 
 def _include_guard(stem: str) -> Iterator[str]:

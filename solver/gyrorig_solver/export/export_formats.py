@@ -117,7 +117,9 @@ def json_text(source: ExportSource) -> str:
         "bias_rad_s": source.bias_rad_s.tolist(),
         "inverse_gain": None if source.calibration is None else source.correction.inverse.tolist(),
         "time_offset_s": source.time_offset_s,
-        "not_applied": [] if source.calibration is None else _terms_left_out(source.correction),
+        "not_applied": list(source.not_applied)
+        if source.calibration is None
+        else _terms_left_out(source.correction),
         "calibration": calibration_as_mapping(source.document),
     }
     return json.dumps(plain, indent=1, allow_nan=False) + "\n"

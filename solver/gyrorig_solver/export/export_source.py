@@ -8,9 +8,17 @@ from typing import Self
 import numpy as np
 
 from gyrorig_protocol.errors import InputError
-from gyrorig_solver.apply import Calibration, Correction, Frame
-from gyrorig_solver.apply.calibration_correction import build_bias_correction, unobservable_text
-from gyrorig_solver.apply.calibration_file import check_parameters
+from gyrorig_solver.apply import LAG_NOTE, Calibration, Correction, Frame
+from gyrorig_solver.apply.calibration_correction import (
+    BIAS_ONLY_NOTE,
+    build_bias_correction,
+    unobservable_text,
+)
+from gyrorig_solver.apply.calibration_file import (
+    APPLIED_PARAMETERS,
+    BASE_PARAMETERS,
+    check_parameters,
+)
 from gyrorig_solver.calibration import calibration_document
 from gyrorig_solver.calibration.document_checks import check_document
 from gyrorig_solver.data import FloatArray, TemperatureCurve
@@ -101,6 +109,18 @@ class ExportSource:
         return build_bias_correction(self.document).bias_curve
 
     @property
+    def not_applied(self) -> tuple[str, ...]:
+        """The parameters of the document that no export applies, with reasons.
+
+        Raises:
+            InputError: the bias is not known.
+        """
+        if self.calibration is not None:
+            return self.calibration.not_applied
+        notes = build_bias_correction(self.document).not_applied
+        return tuple(note for note in notes if note != BIAS_ONLY_NOTE)
+
+    @property
     def bias_rad_s(self) -> FloatArray:
         """The bias, shape (3,).
 
@@ -149,14 +169,15 @@ class ExportSource:
         return lines
 
     def omission_lines(self, carried: Sequence[str] = ()) -> list[str]:
-        """Return lines that list the causes of the document that a format leaves out.
+        """Return lines that list what a format leaves out, and what no export applies.
 
         The format contains the causes in `carried`.
 
         Raises:
-            InputError: without the omitted cause the exported numbers would be wrong.
+            InputError: the bias is not known, or without the omitted cause the exported numbers
+                would be wrong.
         """
-        base = {"bias", "scale", "nonorthogonality", "misalignment", "time_offset", *carried}
+        contained = {*BASE_PARAMETERS, *carried}
         causes = dict.fromkeys(
             name.partition(".")[0].partition("@")[0] for name in self.document.parameters
         )
@@ -167,7 +188,7 @@ class ExportSource:
                 "solve the board again with `--extend none` for this export, or correct the "
                 "measurements with `gyrorig apply`",
             )
-        omitted = [cause for cause in causes if cause not in base]
+        omitted = [c for c in causes if c not in contained and c in APPLIED_PARAMETERS]
         record = self.document.temperature
         if record is not None and record.bias is not None and "thermal_bias" not in carried:
             omitted.append(
@@ -176,7 +197,12 @@ class ExportSource:
             )
         if record is not None and record.scale is not None and "temperature.scale" not in carried:
             omitted.append("the scale factor against the temperature")
-        return [f"not contained in this format: {', '.join(omitted)}"] if omitted else []
+        # The lag is that of the temperature, which a format with a constant bias does not use.
+        notes = [n for n in self.not_applied if n != LAG_NOTE or "thermal_bias" in carried]
+        return [
+            *([f"not contained in this format: {', '.join(omitted)}"] if omitted else []),
+            *(f"note: {note}" for note in notes),
+        ]
 
     def _temperature_range_text(self) -> str:
         span = self.document.validity.temperature_degc

@@ -171,6 +171,8 @@ def test_thermal_causes_without_a_reference_temperature_are_not_applied(
     result = Calibration(document(parameters={"thermal_bias.slope": parameter([1.0, 1.0, 1.0])}))
     assert result.correction.is_affine
     assert "has no reference temperature" in " ".join(result.not_applied)
+    bias_only = Calibration(result.document, bias_only=True)
+    assert "has no reference temperature" in " ".join(bias_only.not_applied)
 
 
 def test_each_thermal_cause_has_its_reference_temperature(document: DocumentFactory) -> None:

@@ -17,7 +17,11 @@ from pymavlink.mavparm import MAVParmDict  # type: ignore[import-untyped]
 from gyrorig_protocol.errors import InputError, UsageError
 from gyrorig_solver import cli
 from gyrorig_solver.calibration import CalibrationDocument
-from gyrorig_solver.calibration.temperature_record import CurveRecord, TemperatureRecord
+from gyrorig_solver.calibration.temperature_record import (
+    CurveRecord,
+    HysteresisRecord,
+    TemperatureRecord,
+)
 from gyrorig_solver.export import FORMATS, ExportOptions, ExportSource, export_text
 from gyrorig_solver.export.c_header import FixedPoint, c_header, largest_count
 from gyrorig_solver.export.flight_controllers import shift_polynomial
@@ -422,6 +426,31 @@ def test_a_format_with_a_constant_bias_states_that_the_temperature_is_left_out(
     text = export_text(ExportSource.of(warmed(document)), kind)
     assert "the bias against the temperature (the bias here is that at 25.00 degC)" in text
     assert "the scale factor against the temperature" in text
+
+
+@pytest.mark.parametrize("kind", FORMATS)
+@pytest.mark.parametrize("name", ["good", "limited"])
+def test_every_export_states_the_hysteresis_and_the_lag_that_it_does_not_apply(
+    document: DocumentFactory, kind: str, name: str
+) -> None:
+    if (kind, name) in {("c", "limited"), ("ros", "limited"), ("kalibr", "limited")}:
+        return  # without a gain, they have no rates
+    record = warmed(document).temperature
+    assert record is not None
+    width = HysteresisRecord([5e-3] * 3, [1e-4] * 3, 1e-9, True)
+    lagged = msgspec.structs.replace(record, lag_s=-60.0, hysteresis=width)
+    result = msgspec.structs.replace(document(name), temperature=lagged)
+    text = export_text(ExportSource.of(result), kind)
+    assert "the hysteresis of the bias is not applied" in text
+    has_curve = kind not in {"ros", "kalibr"}
+    assert ("the lag of the die temperature is not applied" in text) == has_curve
+
+
+def test_c_states_a_thermal_bias_that_it_does_not_contain(document: DocumentFactory) -> None:
+    slope = {"thermal_bias.slope": WARM["thermal_bias.slope"]}
+    text = export_text(ExportSource.of(document(parameters=slope)), "c")
+    assert "not contained in this format: thermal_bias" in text
+    assert "has no reference temperature" in text
 
 
 def test_json_lists_what_its_formula_leaves_out(document: DocumentFactory) -> None:
