@@ -24,7 +24,7 @@ class ParameterComparison:
 
     name: str
     estimate: float | None
-    truth: float
+    truth: float | None  # None: the other calibration has no value
     std: float | None
     unit: str
     total: float | None = None  # total standard uncertainty, None if not known
@@ -32,14 +32,14 @@ class ParameterComparison:
     @property
     def total_sigmas(self) -> float | None:
         """Difference in total standard uncertainties; None without them."""
-        if self.estimate is None or not self.total:
+        if self.estimate is None or self.truth is None or not self.total:
             return None
         return (self.estimate - self.truth) / self.total
 
     @property
     def sigmas(self) -> float | None:
-        """Difference in standard uncertainties; None without an estimate."""
-        if self.estimate is None or not self.std:
+        """Difference in standard uncertainties; None without two values."""
+        if self.estimate is None or self.truth is None or not self.std:
             return None
         return (self.estimate - self.truth) / self.std
 
@@ -110,15 +110,13 @@ def compare_calibrations(
             strict=True,
         )
         for label, (value, std), (other_value, other_std) in pairs:
-            if other_value is None:
-                continue
             name = parameter_label(group.name, label)
             both = name in totals and name in other_totals
             rows.append(
                 ParameterComparison(
                     name=name,
-                    estimate=None if value is None else value * group.factor,
-                    truth=other_value * group.factor,
+                    estimate=_scaled(value, group.factor),
+                    truth=_scaled(other_value, group.factor),
                     std=math.hypot(std or 0.0, other_std or 0.0) * group.factor or None,
                     unit=group.unit,
                     total=math.hypot(totals[name], other_totals[name]) * group.factor

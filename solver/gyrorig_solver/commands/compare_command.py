@@ -33,22 +33,27 @@ def compare_command(terminal: Terminal, calibration: Path, reference: Path) -> i
     REFERENCE is the file that `gyrorigd record --truth` writes for an emulated rig, or a second
     calibration. The last column is the difference in standard uncertainties u. A difference of
     more than 3.5 u is marked with `!`. The column before it has the difference in total
-    uncertainties, where they are known. The exit status is 4 if a parameter has no value.
+    uncertainties, where they are known. The exit status is 4 if a parameter has no value in one of
+    the files.
 
     \b
     Example:
       gyrorig compare calibrations/GY80-1/v0001.yaml truth.yaml
     """
     document, _ = read_calibration(calibration)
-    rows, column = _compare(document, reference)
+    rows, column, remarks = _compare(document, reference)
     terminal.print_result(f"{document.board.id}, {' '.join(document.board.sensor.split())}")
+    for remark in remarks:
+        terminal.print_result(f"  remark: {remark}")
     terminal.print_result(comparison_table(rows, column))
     terminal.print_result(comparison_summary(rows))
-    code = NOT_IDENTIFIABLE if any(row.estimate is None for row in rows) else 0
+    is_incomplete = any(row.estimate is None or row.truth is None for row in rows)
+    code = NOT_IDENTIFIABLE if is_incomplete else 0
     terminal.print_json(
         {
             "board": document.board.id,
             "compared_with": column,
+            "remarks": remarks,
             "parameters": [comparison_json(row) for row in rows],
             "exit_code": code,
         }
@@ -58,8 +63,8 @@ def compare_command(terminal: Terminal, calibration: Path, reference: Path) -> i
 
 def _compare(
     document: CalibrationDocument, reference: Path
-) -> tuple[list[ParameterComparison], str]:
-    """Return the rows, and the heading of the values compared with.
+) -> tuple[list[ParameterComparison], str, list[str]]:
+    """Return the rows, the heading of the values compared with, and remarks.
 
     Raises:
         InputError: the reference is neither a calibration nor a file of true values.
@@ -71,13 +76,22 @@ def _compare(
             "give the truth file that `gyrorigd record --truth` wrote, or a second calibration",
         )
     if content.get("schema") == SCHEMA:
-        return compare_calibrations(document, read_calibration(reference)[0]), "other"
+        other, _ = read_calibration(reference)
+        return compare_calibrations(document, other), "other", _board_remarks(document, other)
     if (kind := describe_schema(content.get("schema"))) is not None:
         raise InputError(
             f"the file {reference} is {kind}, but true values or a calibration are expected here",
             "give the truth file that `gyrorigd record --truth` wrote, or a second calibration",
         )
-    return compare_with_truth(document, content), "truth"
+    return compare_with_truth(document, content), "truth", []
+
+
+def _board_remarks(document: CalibrationDocument, other: CalibrationDocument) -> list[str]:
+    """Return a remark if the calibrations are of different boards."""
+    boards = [f"{c.board.id} with the uid {c.board.uid[:40]!r}" for c in (document, other)]
+    if document.board.id == other.board.id and not document.board.has_other_uid(other.board.uid):
+        return []
+    return [f"the calibrations are of different boards, {boards[0]} and {boards[1]}"]
 
 
 def _difference_text(sigmas: float | None) -> str:
@@ -95,6 +109,10 @@ def comparison_table(rows: Sequence[ParameterComparison], column: str = "truth")
     for row in rows:
         if row.estimate is None:
             cells.append((row.name, "not determined", "", "", "", "", ""))
+            continue
+        if row.truth is None:
+            value_text, _ = format_quantity(row.estimate, row.std)
+            cells.append((row.name, value_text, "not determined", "", "", "", ""))
             continue
         value_text, std_text = format_quantity(row.estimate, row.std)
         decimals = len(value_text.partition(".")[2])

@@ -11,6 +11,7 @@ import yaml
 from gyrorig_solver import cli
 
 ROOT = Path(__file__).parents[3]
+GOLDEN = Path(__file__).parent / "golden"
 Captured = pytest.CaptureFixture[str]
 
 
@@ -78,6 +79,30 @@ def test_two_versions_of_one_recording_agree(session: Path, capsys: Captured) ->
     result = json.loads(capsys.readouterr().out)
     assert result["compared_with"] == "other"
     assert all(row["sigmas"] == 0.0 for row in result["parameters"])
+
+
+def test_calibrations_of_different_boards_have_a_remark(tmp_path: Path, capsys: Captured) -> None:
+    text = (GOLDEN / "good.yaml").read_text()
+    (tmp_path / "name.yaml").write_text(text.replace("GY80-0007", "OTHER-9"))
+    (tmp_path / "uid.yaml").write_text(text.replace("0123456789abcdef", "f00d"))
+    for name, words in (("name.yaml", "OTHER-9"), ("uid.yaml", "'f00d'")):
+        assert cli.run(["compare", str(GOLDEN / "good.yaml"), str(tmp_path / name)]) == 0
+        printed = capsys.readouterr().out
+        assert "remark: the calibrations are of different boards, GY80-0007 with" in printed
+        assert words in printed
+    assert cli.run(["compare", str(GOLDEN / "good.yaml"), str(GOLDEN / "good.yaml")]) == 0
+    assert "remark" not in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("names", [("good", "limited"), ("limited", "good")])
+def test_a_parameter_without_a_value_is_shown_in_both_orders(
+    names: tuple[str, str], capsys: Captured
+) -> None:
+    paths = [str(GOLDEN / f"{name}.yaml") for name in names]
+    assert cli.run(["compare", *paths]) == 4
+    printed = capsys.readouterr().out
+    assert "not determined" in printed
+    assert len([line for line in printed.splitlines() if line.startswith("  scale.")]) == 3
 
 
 @pytest.mark.parametrize("kind", ["rig", "text", "missing"])
