@@ -36,7 +36,7 @@ from gyrorig_solver.storage import write_file
 )
 @click.option(
     "--device-id",
-    type=int,
+    type=click.IntRange(0, 2**31 - 1),  # the type of a parameter of PX4
     help="px4: identifier of the gyro, as in CAL_GYRO0_ID.  [default: not written]",
 )
 @json_option

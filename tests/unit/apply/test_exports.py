@@ -527,3 +527,14 @@ def test_the_command_writes_a_file_once_or_prints_the_text(
     assert json.loads(capsys.readouterr().out)["text"] == out.read_text()
     assert cli.run(["export", str(golden), "--format", "px4"]) == 0
     assert "\t" in capsys.readouterr().out  # its columns are between tabs
+
+
+@pytest.mark.parametrize("device_id", ["99999999999", "-5"])
+def test_an_identifier_that_px4_cannot_store_is_refused(
+    golden: Path, device_id: str, capsys: Captured
+) -> None:
+    command = ["export", str(golden), "--format", "px4", "--device-id"]
+    assert cli.run([*command, device_id]) == 2
+    assert "--device-id" in capsys.readouterr().err
+    assert cli.run([*command, str(2**31 - 1)]) == 0
+    assert f"CAL_GYRO0_ID\t{2**31 - 1}\t6" in capsys.readouterr().out
