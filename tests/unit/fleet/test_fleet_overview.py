@@ -193,6 +193,10 @@ def test_a_hostile_name_cannot_end_a_script(tmp_path: Path) -> None:
         (b"\xff\xfe", "not a text in UTF-8"),
         (b"a,b\n1,2\n", "no column `board`"),
         (b"board\n../x\n", "not a valid board name"),
+        (
+            b"board,lot\nGY-1,7\n,8\n",
+            r"line 3 of the table of boards .*t\.csv has '' in the column",
+        ),
         (b"board\n" + 200_000 * b"x" + b"\n", "field larger than field limit"),
     ],
 )
@@ -203,7 +207,7 @@ def test_invalid_tables_are_refused(tmp_path: Path, content: bytes, words: str) 
 
 
 def test_spaces_around_names_do_not_matter(tmp_path: Path) -> None:
-    (tmp_path / "t.csv").write_text("board, lot , site\n\na , 7, here\n")
+    (tmp_path / "t.csv").write_text("board, lot , site\n\na , 7, here\n,,\n")
     origins = read_origins(tmp_path / "t.csv")
     assert (origins.lot, origins.site) == ({"a": "7"}, {"a": "here"})
 

@@ -99,7 +99,11 @@ def read_origins(path: Path) -> BoardOrigins:
     lines = csv.reader(text.splitlines())
     try:
         names = [name.strip() for name in next(lines, [])]
-        rows = [dict(zip(names, map(str.strip, cells), strict=False)) for cells in lines if cells]
+        rows = [
+            (lines.line_num, dict(zip(names, map(str.strip, cells), strict=False)))
+            for cells in lines
+            if any(map(str.strip, cells))
+        ]
     except csv.Error as fault:
         raise InputError(
             f"the table of boards {path} cannot be read ({fault})",
@@ -111,8 +115,15 @@ def read_origins(path: Path) -> BoardOrigins:
             "begin the table with the header line board,lot,site",
         )
     origins = BoardOrigins()
-    for row in rows:
-        board = BoardId(row.get("board", ""))
+    for number, row in rows:
+        try:
+            board = BoardId(row.get("board", ""))
+        except InputError as fault:
+            raise InputError(
+                f"line {number} of the table of boards {path} has {row.get('board', '')[:40]!r} in "
+                "the column board, which is not a valid board name",
+                "correct the name, or remove the line",
+            ) from fault
         origins.lot[board] = row.get("lot", "")[:64]
         origins.site[board] = row.get("site", "")[:64]
     return origins
