@@ -224,6 +224,11 @@ def diff_command(
     _, later = find_version(folder, name, new)
     rows = list(parameter_differences(earlier, later))
     terminal.print_result(f"{board}: {_version_text(earlier)} to {_version_text(later)}")
+    if earlier.version == later.version:
+        terminal.print_result(
+            f"  remark: version {later.version} is compared with itself, because no other version "
+            "was recorded before it or chosen"
+        )
     columns = ("parameter", "before", "after", "change", "unit", "sigma")
     shown = [_difference_with_unit(row) for row in rows]
     terminal.print_result(_table(shown, {name: name for name in columns}))

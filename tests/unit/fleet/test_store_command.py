@@ -246,7 +246,9 @@ def test_a_board_of_one_version_is_compared_with_itself(
 ) -> None:
     assert output_of(capsys, "diff", store, "GY-2").startswith(
         "GY-2: version 1, recorded 2026-01-11 to version 1, recorded 2026-01-11\n"
+        "  remark: version 1 is compared with itself"
     )
+    assert "remark" not in output_of(capsys, "diff", store, "GY-1")
 
 
 def test_a_version_without_a_row_is_ordered_by_its_recording(
