@@ -6,6 +6,7 @@ memory does not grow with the length.
 """
 
 import csv
+import errno
 import os
 import tempfile
 from collections.abc import Iterator, Sequence
@@ -103,7 +104,7 @@ def apply_to_table(
         except OSError as fault:
             raise MachineError(
                 f"the output file {out} cannot be written ({fault.strerror})",
-                "free some disk space, or choose another file with -o",
+                _write_remedy(fault),
             ) from fault
         finally:
             if temporary is not None:
@@ -126,6 +127,12 @@ def open_table(source: Path) -> TextIO:
             f"the table {source} cannot be read ({fault.strerror})",
             "give the path of a readable table (CSV)",
         ) from fault
+
+
+def _write_remedy(fault: OSError) -> str:
+    if fault.errno in (errno.ENOSPC, errno.EDQUOT):
+        return "free some disk space, or choose another file with -o"
+    return "choose another file with -o, in a folder that exists and that you can write"
 
 
 class _TableWriter:

@@ -34,7 +34,9 @@ _RECORDING_SUFFIXES = (".mcap", ".part")
     "--frame", FRAMES, "stage", "Axes of the corrected rates: stage, or sensor (orthogonalised)."
 )
 @click.option(
-    "--bias-only", is_flag=True, help="Subtract the bias only; keep the nominal scale factor."
+    "--bias-only",
+    is_flag=True,
+    help="Subtract the bias only; keep the nominal scale factor and axes.",
 )
 @click.option(
     "--columns", metavar="X,Y,Z", help="For a table: the three gyro columns, in sensor axes."
@@ -81,6 +83,12 @@ def apply_command(
         raise UsageError(
             "the option --time-unit needs the option --time",
             "give the column of the times with --time, or remove --time-unit",
+        )
+    if bias_only and _is_given("frame") and frame != "sensor":
+        raise UsageError(
+            "the option --bias-only gives rates in the axes of the sensor, so --frame has no "
+            "effect",
+            "remove one of the two options",
         )
     correction = Calibration.load(calibration, frame, bias_only=bias_only)
     terminal.print_progress(f"applying {calibration.name} to {source.name}")

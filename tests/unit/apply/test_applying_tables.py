@@ -157,6 +157,8 @@ def test_options_of_tables_without_an_effect_are_refused(
     base = ["apply", str(golden), str(tmp_path / "in.csv"), "--columns", "gx,gy,gz", *out]
     assert cli.run([*base, "--time-unit", "ms"]) == 2
     assert "--time-unit needs the option --time" in capsys.readouterr().err
+    assert cli.run([*base, "--bias-only", "--frame", "stage"]) == 2
+    assert "so --frame has no effect" in capsys.readouterr().err
     assert cli.run(["apply", str(golden), "drive.mcap", "--unit", "rad/s", *out]) == 2
     assert "are only for tables" in capsys.readouterr().err
 
@@ -180,7 +182,10 @@ def test_a_folder_that_cannot_be_written(golden: Path, tmp_path: Path, capsys: C
     out = tmp_path / "none" / "out.csv"
     base = ["apply", str(golden), str(tmp_path / "in.csv"), "--columns", "gx,gy,gz"]
     assert cli.run([*base, "-o", str(out)]) == 1
-    assert "cannot be written" in capsys.readouterr().err
+    error = capsys.readouterr().err
+    assert "cannot be written" in error
+    assert "in a folder that exists" in error
+    assert "disk space" not in error
 
 
 def test_temperatures_outside_those_of_a_constant_bias_are_remarked(
