@@ -4,7 +4,7 @@ What to use when: `verify`, and `REMEDIES` for what to do about each kind of fau
 """
 
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import groupby
 from pathlib import Path, PurePosixPath
@@ -80,7 +80,7 @@ def verify(
     index = StoreIndex(storage)
     sql = "SELECT file, file_sha256, beside FROM rows WHERE status = 'ok'"
     indexed = _indexed_digests(index.query(sql))
-    manifest_digests, faults = _read_manifest_digests(storage, key)
+    manifest_digests, faults = _read_manifest_digests(storage, key, indexed)
     check = _StoreCheck(storage, indexed, manifest_digests, key is not None)
     for _, entries in groupby(
         list_documents(storage), lambda entry: PurePosixPath(entry.name).parent
@@ -113,9 +113,13 @@ def _indexed_digests(rows: Sequence[Sequence[Any]]) -> dict[str, str]:
 
 
 def _read_manifest_digests(
-    storage: Storage, key: Ed25519PublicKey | None
+    storage: Storage, key: Ed25519PublicKey | None, indexed: Mapping[str, str]
 ) -> tuple[dict[str, str], list[StoreFault]]:
-    """Return the digests in the manifests, and the faults of manifests and index."""
+    """Return the digests in the manifests, and the faults of manifests and index.
+
+    A file of the index is missing if a document of its manifest has no row. A later batch may have
+    written the rows again, into another file.
+    """
     manifest_digests: dict[str, str] = {}
     faults: list[StoreFault] = []
     present = set(index_files(storage))
@@ -129,7 +133,10 @@ def _read_manifest_digests(
         manifest_digests.update(manifest.digests)
         data = storage.read(manifest.index_file)
         if data is None:
-            faults.append(StoreFault("missing", manifest.index_file, "its manifest still exists"))
+            without_row = manifest.digests.keys() - indexed.keys() - {manifest.index_file}
+            if without_row:
+                text = f"{len(without_row)} files of its manifest have no row"
+                faults.append(StoreFault("missing", manifest.index_file, text))
         elif hashlib.sha256(data).hexdigest() != manifest_digests.get(manifest.index_file):
             faults.append(
                 StoreFault("damaged", manifest.index_file, "its SHA-256 differs from the manifest")
