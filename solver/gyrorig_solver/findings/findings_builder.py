@@ -175,13 +175,14 @@ def _cause_entries(
         for finding in result.findings
     ]
     of_positive_size = {finding.cause for _, finding in stream_findings if finding.size > 0.0}
+    is_single = len({checks.recording for checks in raw_checks}) == 1
     # A configuration error is a property of the board; each recording loses its own samples.
     places: dict[tuple[str, tuple[str, ...], str | None], tuple[StreamFinding, list[str]]] = {}
     for recording, finding in stream_findings:
         term = catalogue().get(finding.cause)
         if finding.cause in named_causes or (term and term.implied_by in of_positive_size):
             continue
-        limited = None if len(raw_checks) == 1 or _is_configuration_error(finding) else recording
+        limited = None if is_single or _is_configuration_error(finding) else recording
         _, names = places.setdefault((finding.cause, finding.where, limited), (finding, []))
         names.append(recording)
     configuration: list[CauseEntry] = []

@@ -93,6 +93,13 @@ def test_each_recording_has_its_share(
     assert shares == {"monday.mcap": 0.005, "friday.mcap": 0.05}
 
 
+def test_several_groups_of_checks_of_one_recording_name_no_recording(
+    findings: CauseFindings, raw: list[RawChecks], origin: FindingsOrigin
+) -> None:
+    document = build_findings_document(findings, [raw[0], replace(raw[0], checks=())], origin)
+    assert [cause.recording for cause in document.causes] == [None, None]
+
+
 def test_a_faulty_stream_is_explained_not_adequate(
     findings: CauseFindings, raw: list[RawChecks], origin: FindingsOrigin
 ) -> None:
