@@ -25,16 +25,14 @@ from gyrorig_solver.twin_check.check_wording import (
     difference_text,
     differences,
     failure_texts,
-    gain_text,
     is_different,
     lack_texts,
-    manager_text,
     p_text,
-    residual_rms,
     residual_share_text,
     verdict_text,
 )
 from gyrorig_solver.twin_check.feature_comparison import FamilyComparison
+from gyrorig_solver.twin_check.gain_wording import gain_text, manager_text, residual_rms
 from gyrorig_solver.twin_check.observed_session import AXES
 from gyrorig_solver.twin_check.recording_check import BoardCheck
 from gyrorig_solver.twin_check.session_features import CLOCK_S, SENSOR_AXES

@@ -10,12 +10,8 @@ from tests.support.stated_causes import stated_twin
 from gyrorig_daemon.emulator.emulated_rig import EmulatedRig
 from gyrorig_daemon.emulator.emulator_settings import RigSettings
 from gyrorig_protocol.twin import Scalar, Twin, TwinCause, twin_to_plain
-from gyrorig_solver.twin_check.check_wording import (
-    differences,
-    gain_text,
-    lack_texts,
-    unexplained_text,
-)
+from gyrorig_solver.twin_check.check_wording import differences, lack_texts, unexplained_text
+from gyrorig_solver.twin_check.gain_wording import gain_text
 
 EFFECTS = ["on pan", "on tilt", "on the time", "on the speed", "on the move"]
 
