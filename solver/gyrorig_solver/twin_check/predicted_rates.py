@@ -26,6 +26,7 @@ from gyrorig_solver.twin_check.observed_session import AXES, ObservedSession
 STAGE_AXES_OF = ((1, 2), (0,))
 LEAD_S = 0.01  # a move's shift begins this much before its start, because the start has an error
 MAX_COUNTING_OFFSET = 3  # samples that the daemon can miss while it opens the port
+MAX_MISSING_MOVES = 8  # at the begin of one of two recordings of the same orders
 GAIN_BLOCK_S = 0.5  # means for the gain; longer than the delay of a sensor
 
 
@@ -190,8 +191,7 @@ def _mapped_starts(true_s: FloatArray, observed_s: FloatArray, mapping_s: float)
     """
     if not true_s.size or not observed_s.size:
         return np.zeros(0)
-    nearest = np.abs(true_s + mapping_s - observed_s[:, None]).argmin(axis=1)
-    matched_s = true_s[nearest]
+    matched_s = true_s[_nearest(observed_s - mapping_s, true_s)]
     return np.asarray(matched_s + np.median(observed_s - matched_s), dtype=np.float64)
 
 
@@ -203,14 +203,25 @@ def _match_starts(starts_s: FloatArray, others_s: FloatArray) -> FloatArray:
     """
     if not starts_s.size or not others_s.size:
         return np.zeros(0)
-    differences = others_s - starts_s[:, None]
     if starts_s.size == others_s.size:
-        return np.diagonal(differences).copy()
-    distances = [np.abs(differences - offset).min(axis=1) for offset in np.unique(differences)]
-    best = int(np.argmin([np.median(distance) for distance in distances]))
-    offset = np.unique(differences)[best]
-    nearest = np.abs(differences - offset).argmin(axis=1)
-    return np.asarray(differences[np.arange(starts_s.size), nearest], dtype=np.float64)
+        return np.asarray(others_s - starts_s, dtype=np.float64)
+    # The first moves alone give candidates: with all of them, the time grows as the fourth power.
+    offsets = (others_s[:MAX_MISSING_MOVES] - starts_s[:MAX_MISSING_MOVES, None]).ravel()
+    nearest = [_nearest(starts_s + offset, others_s) for offset in offsets]
+    misfits = [
+        float(np.median(np.abs(others_s[k] - starts_s - offset)))
+        for k, offset in zip(nearest, offsets, strict=True)
+    ]
+    return np.asarray(others_s[nearest[int(np.argmin(misfits))]] - starts_s, dtype=np.float64)
+
+
+def _nearest(times_s: FloatArray, others_s: FloatArray) -> IntArray:
+    """Return the index of the nearest of increasing times, for each of some times."""
+    after = np.clip(np.searchsorted(others_s, times_s), 1, max(others_s.size - 1, 1))
+    before = after - 1
+    after = np.minimum(after, others_s.size - 1)
+    is_before = times_s - others_s[before] <= others_s[after] - times_s
+    return np.where(is_before, before, after)
 
 
 def _own_block_means(session: ObservedSession, rates: FloatArray, numbers: IntArray) -> FloatArray:

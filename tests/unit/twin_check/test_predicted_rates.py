@@ -97,6 +97,12 @@ def test_a_session_of_the_same_rig_is_predicted_within_its_noise(
     assert prediction_error_dps(measured, simulated, arrays) < 1.25 * noise_dps
 
 
+def test_many_starts_are_matched_in_bounded_time() -> None:
+    """A night has thousands of moves; a table of all pairs would need hundreds of megabytes."""
+    starts_s = 3.0 * np.arange(20_000.0) + 0.3 * np.sin(np.arange(20_000.0))
+    assert _match_starts(starts_s[1:], starts_s - 100.0) == pytest.approx(-100.0)
+
+
 def test_starts_are_matched_if_one_is_missing() -> None:
     starts_s = np.array([1.0, 4.0, 9.0, 11.0])
     others_s = np.array([4.02, 9.01, 11.03]) + 100.0
