@@ -74,9 +74,16 @@ def normal_score(t: FloatArray, degrees: FloatArray | float) -> FloatArray:
     return signed_score
 
 
-def student_factor(degrees: float) -> float:
-    """Return the ratio of the half-widths of a 95 % interval, Student's t against normal."""
-    return float(special.stdtrit(degrees, 0.975) / special.ndtri(0.975))
+def student_factor(degrees: FloatArray | float, tail_probability: float = 0.05) -> FloatArray:
+    """Return the quantile of Student's t divided by that of the normal distribution.
+
+    Args:
+        degrees: of freedom, any shape; NaN and zero give NaN.
+        tail_probability: two-sided; 0.05 is the ratio of the half-widths of 95 % intervals.
+    """
+    normal_quantile = special.ndtri(0.5 * tail_probability)
+    student_quantile = special.stdtrit(degrees, 0.5 * tail_probability)
+    return np.asarray(student_quantile / normal_quantile, dtype=np.float64)
 
 
 def normal_upper_tail(z: float) -> float:

@@ -11,7 +11,6 @@ from tests.bench.synthetic_fleet import FleetPlan, write_fleet
 from gyrorig_solver.fleet.drift import PARAMETER_COLUMNS, FleetOverview, build_overview
 from gyrorig_solver.fleet.drift.ewma_charts import HISTORY_NIGHTS, board_tail_probability
 from gyrorig_solver.fleet.drift.fleet_overview import read_origins
-from gyrorig_solver.fleet.drift.night_scatter import student_widening
 from gyrorig_solver.fleet.page.history_scripts import (
     STEPS_PER_STD,
     group_charts,
@@ -21,6 +20,7 @@ from gyrorig_solver.fleet.page.history_scripts import (
     shared_chart_data,
 )
 from gyrorig_solver.fleet.store import StoreIndex
+from gyrorig_solver.numerics import student_factor
 
 Histories = dict[str, dict[str, Any]]
 
@@ -67,7 +67,7 @@ def test_a_boards_chart_agrees_with_the_statistics(fleet: tuple[FleetOverview, H
     for index, board in enumerate(overview.boards.board):
         for which, chart in enumerate(overview.charts):
             first, ewma, std = nights_of(histories[board]["chart"][which])
-            widening = float(student_widening(chart.degrees_of_freedom, tail_probability)[index])
+            widening = float(student_factor(chart.degrees_of_freedom, tail_probability)[index])
             unit = float(np.sqrt(chart.variance[index])) * widening
             wanted = chart.baseline[index] + chart.ewma_history[first:, index]
             assert np.isnan(chart.ewma_history[:first, index]).all()

@@ -166,7 +166,7 @@ def _hysteresis(
     fit: SlowFit, without: SlowFit, problem: "_Problem", basis: CurveBasis, lag_s: float
 ) -> Hysteresis:
     covariance, _ = problem.with_lag(basis, fit, lag_s, loop=True)
-    widening = np.array([student_factor(degrees) for degrees in fit.degrees])
+    widening = student_factor(fit.degrees)
     size, variance = fit.sizes[-2], covariance[:, -2, -2] * widening**2
     statistic = float(np.sum(size**2 / variance))
     p_value = chi2_upper_tail(statistic, 3)
@@ -262,7 +262,7 @@ class _Problem:
         loop = hysteresis is not None and hysteresis.is_fitted
         covariance, lag_std_s = self.with_lag(basis, fit, lag_s, loop=loop)
         keep = [*range(basis.size), fit.sizes.shape[0] - 1]
-        widening = np.array([student_factor(degrees) for degrees in fit.degrees])
+        widening = student_factor(fit.degrees)
         factors = np.append(basis.factors(), 1.0)
         total = covariance[:, keep][:, :, keep] * widening[:, None, None] ** 2 + spread
         selected = total * np.outer(factors, factors)

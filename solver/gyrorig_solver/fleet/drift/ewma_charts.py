@@ -26,8 +26,9 @@ import numpy.typing as npt
 from scipy import special
 
 from gyrorig_solver.data import BoolArray, FloatArray
-from gyrorig_solver.fleet.drift.night_scatter import estimate_night_scatter, student_widening
+from gyrorig_solver.fleet.drift.night_scatter import estimate_night_scatter
 from gyrorig_solver.fleet.drift.temperature_slopes import correct_temperature, slope_spread
+from gyrorig_solver.numerics import student_factor
 
 EWMA_WEIGHT = 0.2  # usual lambda for small shifts: Lucas and Saccucci 1990, 0.05 to 0.25
 BASELINE_NIGHTS = 10
@@ -79,7 +80,7 @@ class DriftChart:
             tail_probability: of the alarm limit, at which the scores have the tail probability of a
                 normal variable. Far from it, they are only approximately normal.
         """
-        widening = student_widening(self.degrees_of_freedom, tail_probability)
+        widening = student_factor(self.degrees_of_freedom, tail_probability)
         score: FloatArray = np.where(
             np.isfinite(self.variance), self.shift / (np.sqrt(self.variance) * widening), 0.0
         )
@@ -278,7 +279,7 @@ def _candidate_shifts(
     board_count = np.bincount(grouping.group_index[charted], minlength=len(grouping.names))
     for index in np.flatnonzero((board_count >= 2) & (np.abs(np.nan_to_num(z)) > limit)):
         members: BoolArray = charted & (grouping.group_index == index)
-        widening = student_widening(chart.degrees_of_freedom[members], tail_probability)
+        widening = student_factor(chart.degrees_of_freedom[members], tail_probability)
         scores = shift[members] / (np.sqrt(variance[members]) * widening)
         median_score = float(np.median(scores)) * np.sign(z[index])
         # the mean of the scores of n boards is z / sqrt(n); their median must be near it
@@ -307,7 +308,7 @@ def group_means_of_chart(
 ) -> tuple[FloatArray, FloatArray]:
     """Return the weighted mean shift of each group and its variance, (groups,), NaN without any.
 
-    The variance is multiplied by the square of `student_widening` at the alarm limit. The degrees
+    The variance is multiplied by the square of `student_factor` at the alarm limit. The degrees
     of freedom of a group are the weighted harmonic mean of those of its boards, which is at most
     the value by Satterthwaite (1946).
 
@@ -331,7 +332,7 @@ def group_means_of_chart(
         for of_sensor, slope_variance in chart.slope_variances:
             offset_c = np.where(counted & of_sensor, weight * temperature_offset_c, 0.0)
             mean_variance += (np.bincount(group, offset_c, count) / total) ** 2 * slope_variance
-        mean_variance *= student_widening(degrees_of_freedom, tail_probability) ** 2
+        mean_variance *= student_factor(degrees_of_freedom, tail_probability) ** 2
     return mean, np.where(total > 0.0, mean_variance, np.nan)
 
 

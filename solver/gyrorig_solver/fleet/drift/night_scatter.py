@@ -1,14 +1,13 @@
 """Scatter from night to night: its variance per sensor, and how well it is known.
 
-What to use when: `estimate_night_scatter` for the scatter of every board, `student_widening` for
-the factor by which limits in standard deviations are wider, because the scatter is estimated.
+What to use when: `estimate_night_scatter` for the scatter of every board. Limits in standard
+deviations are wider by `numerics.student_factor`, because the scatter is estimated.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from scipy import special
 
 from gyrorig_solver.data import BoolArray, FloatArray
 from gyrorig_solver.fleet.drift.temperature_slopes import CHI2_1_MEDIAN
@@ -55,18 +54,6 @@ def estimate_night_scatter(
         scatter_variance[of_kind] = max(float(np.median(squares_of_kind)), 0.0)
         degrees_of_freedom[of_kind] = _DEGREES_PER_PAIR * squares_of_kind.size
     return NightScatter(scatter_variance, degrees_of_freedom)
-
-
-def student_widening(degrees_of_freedom: FloatArray, tail_probability: float) -> FloatArray:
-    """Return the quantile of Student's t divided by that of the normal distribution.
-
-    Args:
-        degrees_of_freedom: any shape; NaN gives NaN.
-        tail_probability: two-sided, of the alarm limit.
-    """
-    normal_quantile = float(special.ndtri(0.5 * tail_probability))
-    student_quantile = special.stdtrit(degrees_of_freedom, 0.5 * tail_probability)
-    return np.asarray(student_quantile / normal_quantile, dtype=np.float64)
 
 
 def _squared_differences(

@@ -28,8 +28,8 @@ from gyrorig_solver.fleet.drift.ewma_charts import (
     group_means_of_chart,
 )
 from gyrorig_solver.fleet.drift.latest_calibrations import GROUP_KINDS, PARAMETER_COLUMNS
-from gyrorig_solver.fleet.drift.night_scatter import student_widening
 from gyrorig_solver.fleet.store import NEWEST_FIRST_SQL, StoreIndex
+from gyrorig_solver.numerics import student_factor
 
 HISTORY_FILES = 256
 MAX_POINTS_PER_BOARD = 60  # the latest of each board
@@ -168,7 +168,7 @@ def _board_chart_texts(
     chart: DriftChart, columns: npt.NDArray[np.intp], tail_probability: float
 ) -> list[str]:
     """Return one parameter's charts of boards as text; see `_chart_texts`."""
-    widening = student_widening(chart.degrees_of_freedom[columns], tail_probability)
+    widening = student_factor(chart.degrees_of_freedom[columns], tail_probability)
     return _chart_texts(
         chart.ewma_history[:, columns],
         chart.ewma_history_std[:, columns] * widening,
