@@ -20,6 +20,8 @@ from gyrorig_solver.export.c_temperature import (
     FLOAT_ULP,
     TemperatureVectors,
     float_literal,
+    float_row,
+    float_rows,
     function_with_temperature,
 )
 from gyrorig_solver.export.export_source import ExportSource, comment_lines, quoted
@@ -203,9 +205,9 @@ def _float_function(stem: str, matrix: FloatArray, offset: FloatArray) -> Iterat
     yield f"static inline void {stem}_rate_float(const int32_t counts[3], float rate_rad_s[3])"
     yield "{"
     yield "    static const float A[3][3] = {"
-    yield from (f"        {{{', '.join(float_literal(v) for v in row)}}}," for row in matrix)
+    yield from float_rows(matrix)
     yield "    };"
-    yield f"    static const float c[3] = {{{', '.join(float_literal(v) for v in offset)}}};"
+    yield f"    static const float c[3] = {float_row(offset)};"
     yield "    int i;"
     yield ""
     yield "    for (i = 0; i < 3; i++) {"

@@ -38,9 +38,9 @@ def function_with_temperature(correction: Correction, stem: str, scale: float) -
     for name, curve, factor in curves:
         yield from _curve_tables(name, curve, factor)
     yield "    static const float A[3][3] = {"
-    yield from _float_rows(scale * correction.inverse)
+    yield from float_rows(scale * correction.inverse)
     yield "    };"
-    bias = _float_row(correction.bias_rad_s / scale)
+    bias = float_row(correction.bias_rad_s / scale)
     yield f"    static const float b[3] = {bias};  /* counts */"
     yield "    float y[3];"
     yield "    float degc = temperature_degc;"
@@ -90,12 +90,12 @@ def _curve_tables(name: str, curve: TemperatureCurve, factor: float) -> Iterator
     for table, rows in tables:
         if len(rows):
             yield f"    static const float {table}[{len(rows)}][3] = {{"
-            yield from _float_rows(rows * factor)
+            yield from float_rows(rows * factor)
             yield "    };"
     if curve.knots_degc.size:
         zeros = np.maximum(curve.reference_degc - curve.knots_degc, 0.0) ** 3
         for table, values in ((f"{name}_knots", curve.knots_degc), (f"{name}_zeros", zeros)):
-            yield f"    static const float {table}[{len(values)}] = {_float_row(values)};"
+            yield f"    static const float {table}[{len(values)}] = {float_row(values)};"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -138,9 +138,9 @@ class TemperatureVectors:
         yield f"    static const int32_t warm_counts[{count}][3] = {{"
         yield from (f"        {{{', '.join(str(v) for v in row)}}}," for row in self.counts)
         yield "    };"
-        yield f"    static const float warm_degc[{count}] = {_float_row(self.degc)};"
+        yield f"    static const float warm_degc[{count}] = {float_row(self.degc)};"
         yield f"    static const float warm_rates[{count}][3] = {{  /* rad/s */"
-        yield from _float_rows(self.rates_rad_s)
+        yield from float_rows(self.rates_rad_s)
         yield "    };"
 
     def comparison(self, stem: str, first: int) -> Iterator[str]:
@@ -173,12 +173,13 @@ def _largest_terms(curve: TemperatureCurve, degc: FloatArray) -> FloatArray:
     return total
 
 
-def _float_rows(rows: FloatArray) -> Iterator[str]:
+def float_rows(rows: FloatArray) -> Iterator[str]:
     """Yield the lines of a table of floats."""
-    yield from (f"        {_float_row(row)}," for row in rows)
+    yield from (f"        {float_row(row)}," for row in rows)
 
 
-def _float_row(values: FloatArray) -> str:
+def float_row(values: FloatArray) -> str:
+    """Return a row of floats in braces."""
     return f"{{{', '.join(float_literal(v) for v in values)}}}"
 
 
