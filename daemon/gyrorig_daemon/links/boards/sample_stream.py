@@ -130,9 +130,7 @@ class SampleStream:
             mapped_ns = self.clock.observe(
                 last.device_time, arrival_ns, wire_ns, last.sequence, not self._has_edges
             )
-            self._count_epoch(
-                arrival_ns
-            )  # before counting: a restart is not a loss of 40000 samples
+            self._count_epoch(arrival_ns)  # first: a restart is not a loss of 40000 samples
         self.latency_ns = arrival_ns - mapped_ns
         self.worst_latency_ns = max(self.worst_latency_ns, self.latency_ns)
         self._count(samples)
