@@ -1,6 +1,7 @@
 """Tables of the findings of `gyrorig explain` on the measured sets."""
 
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 from docs.markdown import number, table
@@ -143,7 +144,9 @@ def _format_cause(cause: CauseEntry) -> str:
         f"{name} {size_text(cause.cause, name, size)}" for name, size in sizes[:MOST_SIZES]
     )
     alternatives = "".join(f" or `{alternative}`" for alternative in cause.one_of)
-    return f"`{cause.cause}`{alternatives} ({text}{', ...' if len(sizes) > MOST_SIZES else ''})"
+    more = ", ..." if len(sizes) > MOST_SIZES else ""
+    place = f" in {Path(cause.recording).stem}" if cause.recording else ""
+    return f"`{cause.cause}`{alternatives} ({text}{more}{place})"
 
 
 def _format_nats(gain: GainEntry) -> str:
