@@ -3,7 +3,8 @@
 Theory of operation. The clock advances only in `read`: to the next arrival at the host, or to the
 deadline. Bytes that leave a device get their arrival time from the latency model; arrivals wait
 in a heap. Before one is delivered, every device is asked for the bytes that have left its line
-until then, because they could arrive earlier.
+until then, because they could arrive earlier. The time of a device's next output changes only when
+a device receives bytes, or when its output is collected, so it is computed once in between.
 """
 
 import heapq
@@ -32,6 +33,7 @@ class VirtualHub:
         self._closed = False
         self._unplugged: dict[str, list[tuple[int, int]]] = {port: [] for port in self._devices}
         self._down: set[str] = set()
+        self._due_ns: dict[str, int | None] = {}  # of the next output, by port; missing: not known
 
     def unplug(self, port: str, at_ns: int, until_ns: int | None = None) -> None:
         """Disconnect a device at a future time, and connect it again at `until_ns`, or never.
@@ -46,6 +48,7 @@ class VirtualHub:
     def swap(self, port: str, other: str) -> None:
         """Exchange the devices of two ports, as happens with unstable port names."""
         self._devices[port], self._devices[other] = self._devices[other], self._devices[port]
+        self._due_ns.clear()
 
     def now_ns(self) -> int:
         """Return the virtual clock."""
@@ -69,6 +72,7 @@ class VirtualHub:
                 "wait until the emulator connects the device again",
             )
         device.receive(data, self._latency.line_ns(self._now_ns))
+        self._due_ns.clear()  # of all devices: a command to the unit also moves the boards
         return WriteTimes(self._now_ns, self._now_ns)
 
     def read(self, deadline_ns: int) -> Chunk | None:
@@ -103,13 +107,17 @@ class VirtualHub:
     def _next_output(self) -> tuple[int | None, str]:
         best_ns: int | None = None
         best_port = ""
+        known_ns = self._due_ns
         for port, device in self._devices.items():
-            due_ns = device.next_output_ns()
+            if port not in known_ns:
+                known_ns[port] = device.next_output_ns()
+            due_ns = known_ns[port]
             if due_ns is not None and (best_ns is None or due_ns < best_ns):
                 best_ns, best_port = due_ns, port
         return best_ns, best_port
 
     def _collect(self, port: str, until_ns: int) -> None:
+        del self._due_ns[port]
         for line_ns, data in self._devices[port].take_output(until_ns):
             arrival_ns = self._latency.arrival_ns(port, line_ns)
             if not self._is_unplugged(port, arrival_ns):
