@@ -28,7 +28,11 @@ from gyrorig_solver.estimate.rest_to_rest import BoardPath, CrossCheck, cross_ch
 from gyrorig_solver.estimate.series import build_series
 from gyrorig_solver.estimate.session_fit import SessionFit
 from gyrorig_solver.estimate.trust_region import NotConvergedError
-from gyrorig_solver.estimate.uncertainty_widening import reduced_chi2, widen_uncertainty
+from gyrorig_solver.estimate.uncertainty_widening import (
+    largest_reduced_chi2,
+    reduced_chi2,
+    widen_uncertainty,
+)
 from gyrorig_solver.model import RecordingContext
 from gyrorig_solver.reference import DETENT_VARIANCE, PanTiltReference, ReferenceMotion
 
@@ -140,7 +144,7 @@ def summarize_motion_fit(
             *dict.fromkeys(fitted_term.term.cause for fitted_term in solution.fitted_terms),
         ),
         warnings=warnings,
-        limited_reasons=_limited_reasons(chi2),
+        limited_reasons=_limited_reasons(solution),
         diagnostics=_diagnostics(solution),
         chi2_limit=float("inf"),  # reported in `_limited_reasons`
         noise=_noise_levels(solution),
@@ -327,7 +331,7 @@ def _noise_remarks(solution: ConvergedFit, chi2_factor: float) -> list[str]:
     """Return remarks about noise in motion and about a multiplied covariance."""
     remarks = []
     ratio = _last_noise_ratios(solution).get("in_motion")
-    rounded = is_rounded_without_dither(solution.noises[-1])
+    rounded = np.any([is_rounded_without_dither(noise) for noise in solution.noises], axis=0)
     if rounded.any():
         axes = ", ".join(np.array(list("xyz"))[rounded].tolist())
         remarks.append(
@@ -351,12 +355,14 @@ def _noise_remarks(solution: ConvergedFit, chi2_factor: float) -> list[str]:
     return remarks
 
 
-def _limited_reasons(chi2: float) -> tuple[str, ...]:
+def _limited_reasons(solution: ConvergedFit) -> tuple[str, ...]:
+    chi2, worst = largest_reduced_chi2(solution)
     if chi2 <= MAX_REDUCED_CHI2:
         return ()
+    of_recording = "" if worst is None else f" in recording {worst + 1}"
     return (
-        f"the residual variance in motion is {chi2:.2f} times that at rest, so the model of the "
-        "rig is incomplete; run `gyrorig explain`",
+        f"the residual variance in motion{of_recording} is {chi2:.2f} times that at rest, so the "
+        "model of the rig is incomplete; run `gyrorig explain`",
     )
 
 

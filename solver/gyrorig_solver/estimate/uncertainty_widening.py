@@ -2,13 +2,15 @@
 
 If the whitened residual in motion is larger than noise explains, the model is incomplete, and the
 uncertainties from noise alone are too small. The covariance is then multiplied by the reduced
-chi-square (Birge ratio). The uncertainty of a common time shift has another origin and is not
-changed.
+chi-square (Birge ratio). Of several recordings, the largest chi-square counts, because a parameter
+can come from this recording alone. The uncertainty of a common time shift has another origin and is
+not changed.
 
 Source: R. T. Birge, The Calculation of Errors by the Method of Least Squares, Phys. Rev. 40 (1932).
 """
 
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -25,25 +27,33 @@ TIME_OFFSET = 12
 
 
 def reduced_chi2(solution: ConvergedFit) -> float:
-    """Return the whitened variance in motion over that at rest, all axes."""
-    power, moving, at_rest = _whitened_power(solution)
-    if min(moving.sum(), at_rest.sum()) < MIN_VALUES:
-        return float(np.mean(power[moving | at_rest]) / 3.0)
-    return float(np.mean(power[moving]) / np.mean(power[at_rest]))
+    """Return the whitened variance in motion over that at rest, all axes and recordings."""
+    return _join(_whitened_power(solution)).reduced_chi2()
+
+
+def largest_reduced_chi2(solution: ConvergedFit) -> tuple[float, int | None]:
+    """Return the largest reduced chi-square, and the index of its recording, None for all.
+
+    Each of several recordings also counts alone if it has enough samples at rest and in motion.
+    """
+    powers = _whitened_power(solution)
+    candidates: list[tuple[float, int | None]] = [(_join(powers).reduced_chi2(), None)]
+    if len(powers) > 1:
+        candidates += [(p.reduced_chi2(), k) for k, p in enumerate(powers) if p.is_sufficient]
+    return max(candidates, key=lambda candidate: candidate[0])
 
 
 def widen_uncertainty(solution: ConvergedFit) -> tuple[ConvergedFit, float]:
     """Return the fit with its covariance multiplied by the chi-square in motion, and the factor.
 
-    The factor is 1 unless the mean squared whitened residual in motion is significantly above 1.
+    The factor is 1 unless the mean squared whitened residual in motion of a recording, or of all
+    together, is significantly above 1.
     """
-    power, moving, at_rest = _whitened_power(solution)
-    counts = 3.0 * np.array([moving.sum(), at_rest.sum()])
-    if counts.min() < 3.0 * MIN_VALUES:
-        return solution, 1.0
-    factor = float(np.mean(power[moving])) / 3.0
-    std = float(np.sqrt(2.0 * np.sum(1.0 / counts)))  # the levels also have an uncertainty
-    if factor - 1.0 < max(MIN_EXCESS, normal_quantile(FALSE_ALARM) * std):
+    powers = _whitened_power(solution)
+    if len(powers) > 1:
+        powers.append(_join(powers))
+    factor = max(power.significant_factor(FALSE_ALARM / len(powers)) for power in powers)
+    if factor == 1.0:
         return solution, 1.0
     widened = replace(
         solution,
@@ -74,9 +84,49 @@ def _multiply(
     )
 
 
-def _whitened_power(solution: ConvergedFit) -> tuple[FloatArray, BoolArray, BoolArray]:
-    """Return the whitened power of every block, and which used blocks move or rest."""
-    power = np.concatenate([np.sum(white**2, axis=1) for white in solution.whitened_residuals()])
-    used = np.concatenate(solution.used_blocks())
-    in_motion = np.concatenate([moving for s in solution.sessions for moving in s.moving])
-    return power, used & in_motion, used & ~in_motion
+@dataclass(frozen=True, slots=True, eq=False)
+class _WhitenedPower:
+    """Squared whitened residuals, summed over the axes."""
+
+    power: FloatArray  # of each block, (n,)
+    moving: BoolArray  # the used blocks in motion, (n,)
+    at_rest: BoolArray  # the used blocks at rest, (n,)
+
+    @property
+    def is_sufficient(self) -> bool:
+        """Whether there are enough blocks at rest and in motion to compare them."""
+        return bool(min(self.moving.sum(), self.at_rest.sum()) >= MIN_VALUES)
+
+    def reduced_chi2(self) -> float:
+        """Return the variance in motion over that at rest, or over 1 without enough blocks."""
+        if not self.is_sufficient:
+            return float(np.mean(self.power[self.moving | self.at_rest]) / 3.0)
+        return float(np.mean(self.power[self.moving]) / np.mean(self.power[self.at_rest]))
+
+    def significant_factor(self, false_alarm: float) -> float:
+        """Return the variance in motion in units of the noise model's, 1 without an excess."""
+        if not self.is_sufficient:
+            return 1.0
+        counts = 3.0 * np.array([self.moving.sum(), self.at_rest.sum()])
+        factor = float(np.mean(self.power[self.moving])) / 3.0
+        std = float(np.sqrt(2.0 * np.sum(1.0 / counts)))  # the levels also have an uncertainty
+        is_excess = factor - 1.0 >= max(MIN_EXCESS, normal_quantile(false_alarm) * std)
+        return factor if is_excess else 1.0
+
+
+def _whitened_power(solution: ConvergedFit) -> list[_WhitenedPower]:
+    """Return the whitened power of each recording."""
+    powers = []
+    for session, noise in zip(solution.sessions, solution.noises, strict=True):
+        white = np.concatenate(session.whitened_residuals(solution.gain, noise))
+        used, in_motion = np.concatenate(session.used), np.concatenate(session.moving)
+        powers.append(_WhitenedPower(np.sum(white**2, axis=1), used & in_motion, used & ~in_motion))
+    return powers
+
+
+def _join(powers: Sequence[_WhitenedPower]) -> _WhitenedPower:
+    return _WhitenedPower(
+        np.concatenate([power.power for power in powers]),
+        np.concatenate([power.moving for power in powers]),
+        np.concatenate([power.at_rest for power in powers]),
+    )

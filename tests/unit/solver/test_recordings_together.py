@@ -10,8 +10,13 @@ from tests.unit.solver.made import reference_of, samples_of
 
 from gyrorig_solver.estimate import UNIT_REMEDIES, fit_motion, free_term
 from gyrorig_solver.estimate.fitted_term import fixed_term
-from gyrorig_solver.estimate.motion_fit import fit_recordings
+from gyrorig_solver.estimate.motion_fit import MAX_REDUCED_CHI2, fit_recordings, solve_motion
 from gyrorig_solver.estimate.thermal_order import choose_order
+from gyrorig_solver.estimate.uncertainty_widening import (
+    largest_reduced_chi2,
+    reduced_chi2,
+    widen_uncertainty,
+)
 from gyrorig_solver.model import BoardTemperature, RecordingContext, Site, factorise, find_term
 from gyrorig_solver.model.causes.earth_rotation import EARTH_RATE_RAD_S
 from gyrorig_solver.model.causes.thermal_bias import ThermalBias
@@ -53,6 +58,36 @@ def test_information_of_two_recordings_adds_up(simulate: Simulate) -> None:
             abs(fitted_recording.time_offset_s - lag_s) < 3.0 * fitted_recording.time_offset_std_s
         )
     assert joint.bias_rad_s == pytest.approx(joint.recordings[-1].bias_rad_s)
+
+
+def test_a_short_recording_with_errors_widens_the_uncertainty(simulate: Simulate) -> None:
+    """Pooled with a long recording, its excess would hardly show."""
+    tilts = (-600, 400, 0, 500, -300, 0)
+    long, short = simulate(24, tilts * 4), simulate(25, tilts[:3])
+    gain = long.gain
+    tilt = reference_of(short).angles_rad(short.time_s - short.lag_s)[1]
+    error_rad_s = 1e-2 * np.sin(3.0 * tilt)[:, None] * np.array([1.0, 1.0, 1.0])
+    rates = [
+        same_board(long, gain) + long.bias_rad_s,
+        same_board(short, gain) + short.bias_rad_s + error_rad_s,
+    ]
+    pairs = [
+        (samples_of(rig.time_s, rate), reference_of(rig))
+        for rig, rate in zip((long, short), rates, strict=True)
+    ]
+    solution = solve_motion(pairs)
+    pooled = reduced_chi2(solution)
+    largest, recording = largest_reduced_chi2(solution)
+    assert recording == 1
+    assert largest > 1.5 * pooled
+    widened, factor = widen_uncertainty(solution)
+    assert factor >= largest > MAX_REDUCED_CHI2 > pooled
+    covariance = factor * solution.session_observability[1].covariance
+    np.testing.assert_allclose(
+        widened.session_observability[1].covariance[:12, :12], covariance[:12, :12]
+    )
+    joint = fit_recordings(pairs, UNIT_REMEDIES)
+    assert any("in recording 2" in reason for reason in joint.limited_reasons)
 
 
 def test_static_recording_only_adds_its_own_bias(simulate: Simulate) -> None:
