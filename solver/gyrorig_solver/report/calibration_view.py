@@ -101,7 +101,7 @@ def parameter_tables(data: ReportData) -> list[ParameterTable]:
     full_scale_dps = calibration.board.config.gyro_full_scale_dps
     return [
         ParameterTable(
-            group.name.replace("_", " ") + ("" if group.unit == "1" else f" ({group.unit})"),
+            group.name.replace("_", " ") + ("" if group.unit in ("", "1") else f" ({group.unit})"),
             group.meaning + _data_sheet_words(group, limits),
             tuple(_rows(calibration, group, limits)),
         )
@@ -115,7 +115,7 @@ def _data_sheet_words(group: ParameterGroup, limits: DataSheetLimits | None) -> 
     """Return the data sheet's range of a group, to put behind its meaning."""
     if limits is None:
         return ""
-    unit = "" if group.unit == "1" else f" {group.unit}"
+    unit = "" if group.unit in ("", "1") else f" {group.unit}"
     return f"; the data sheet allows {format_short(limits[0])} to {format_short(limits[1])}{unit}"
 
 

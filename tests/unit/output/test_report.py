@@ -251,6 +251,17 @@ def test_causes_and_noise_are_compared_with_the_data_sheet(
     assert "12.0 (Allan minimum 8.00)" in best.words  # 8 deg/h in run
 
 
+def test_a_parameter_without_a_unit_has_no_empty_brackets(
+    good_fit: GyroFit, provenance: Provenance
+) -> None:
+    begin = {"backlash.begin": Parameter([-1.0, None], [0.11, None], "")}
+    document = made(good_fit, provenance)
+    document = msgspec.structs.replace(document, parameters=document.parameters | begin)
+    words = page_of(render_calibration(ReportData(document, None, None, sheet("BMI088"), ""))).words
+    assert any("backlash.begin" in text for text in words)
+    assert not any("()" in text for text in words)
+
+
 def test_phone_shows_each_interval_below_its_value(
     good_fit: GyroFit, provenance: Provenance
 ) -> None:
