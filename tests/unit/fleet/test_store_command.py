@@ -75,8 +75,8 @@ def store(tmp_path: Path) -> Path:
         add_version(
             store_of_boards, document("BM-1", 1, day=12, solved_day=12, sensor="BMI270"), "rig-a"
         ),
-        row("bad", status="rejected", board="", reason="no motion", names=["x.mcap"]),
-        row("worse", status="failed", board="GY-2", reason="slow", names=["y.mcap"]),
+        row("bad", status="rejected", board="", reason="no motion", names=["x.mcap"], inputs=["a"]),
+        row("worse", status="failed", board="GY-2", reason="slow", names=["y.mcap"], inputs=["b"]),
     ]
     with RowJournal(Folder(tmp_path / "store"), "night") as journal:
         journal.add(rows)

@@ -17,6 +17,8 @@ from gyrorig_solver.calibration.calibration_document import calibration_as_yaml
 from gyrorig_solver.cli import run
 from gyrorig_solver.fleet.jobs import SolveSettings, session_job
 from gyrorig_solver.fleet.jobs.session_job import Job, run_job
+from gyrorig_solver.fleet.store import IndexRow, StoreIndex
+from gyrorig_solver.fleet.store.index_rows import WorkStatus
 from gyrorig_solver.storage import Folder
 
 GOLDEN = Path(__file__).parents[1] / "output" / "golden" / "good.yaml"
@@ -85,6 +87,30 @@ def test_unsuccessful_work_obeys_the_filters(tmp_path: Path, capsys: Captured) -
     assert listed(store, capsys, "--wrong", "--board", "OTHER") == []
     assert run(["store", "ls", str(store), "--wrong", "--limit", "1"]) == 0
     assert "Only the first" not in capsys.readouterr().out
+
+
+def row_of(key: str, status: WorkStatus, created: str, *digests: str) -> IndexRow:
+    names = [f"{digest}.mcap" for digest in digests]
+    return IndexRow(key, status, created, "night", list(digests), names, reason=key)
+
+
+def test_only_the_newest_job_of_the_same_recordings_is_listed(
+    tmp_path: Path, capsys: Captured
+) -> None:
+    """A recording that a later version of the solver solved is not wrong any more."""
+    folder = Folder(tmp_path)
+    create_store(folder)
+    rows = [
+        row_of("solved-later", "failed", "2026-01-01T00:00:00Z", "a", "b"),
+        row_of("solved", "ok", "2026-01-02T00:00:00Z", "b", "a"),
+        row_of("fails-again", "failed", "2026-01-01T00:00:00Z", "c"),
+        row_of("rejected-now", "rejected", "2026-01-02T00:00:00Z", "c"),
+        row_of("z", "failed", "2026-01-02T00:00:00Z", "d"),
+    ]
+    for order in (rows, rows[::-1]):
+        StoreIndex(folder).rebuild(iter(order), "rebuilt")
+        wrong = listed(tmp_path, capsys, "--wrong")
+        assert [row["reason"] for row in wrong] == ["rejected-now", "z"]
 
 
 def test_a_board_that_is_stored_keeps_its_row_if_a_later_board_fails(

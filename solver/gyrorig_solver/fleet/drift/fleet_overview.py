@@ -44,7 +44,7 @@ from gyrorig_solver.fleet.drift.population import (
     cochran_q_test,
     fit_population,
 )
-from gyrorig_solver.fleet.store import NEWEST_FIRST_SQL, StoreIndex
+from gyrorig_solver.fleet.store import NEWEST_FIRST_SQL, UNSUCCESSFUL_ROWS_SQL, StoreIndex
 from gyrorig_solver.storage import Storage
 
 __all__ = [
@@ -183,15 +183,10 @@ def _group_differences(
 
 
 def _unsuccessful_sessions(index: StoreIndex) -> list[tuple[str, int]]:
-    """Return the statuses of sessions without a calibration, and their counts.
-
-    A new version of the solver, or new settings, solve the same recordings in a new job. Only the
-    newest job of the same recordings counts.
-    """
+    """Return the statuses of sessions without a calibration, and their counts."""
     sql = (
-        "SELECT status, count(DISTINCT key) FROM (SELECT status, key, first_value(key) OVER "
-        "(PARTITION BY list_sort(inputs) ORDER BY created DESC, status = 'ok' DESC) AS newest_key "
-        "FROM rows) WHERE key = newest_key AND status <> 'ok' GROUP BY 1 ORDER BY 1"
+        f"SELECT status, count(DISTINCT key) FROM {UNSUCCESSFUL_ROWS_SQL} "  # noqa: S608
+        "GROUP BY 1 ORDER BY 1"
     )
     return [(str(status), int(count)) for status, count in index.query(sql)]
 

@@ -7,6 +7,7 @@ batch, `manifest` for digests and signatures. A folder and a bucket are used in 
 
 from gyrorig_solver.fleet.store.index_rows import (
     NEWEST_FIRST_SQL,
+    UNSUCCESSFUL_ROWS_SQL,
     IndexRow,
     job_key,
     parameter_columns,
@@ -18,6 +19,7 @@ from gyrorig_solver.fleet.store.store_verification import verify
 
 __all__ = [
     "NEWEST_FIRST_SQL",
+    "UNSUCCESSFUL_ROWS_SQL",
     "IndexRow",
     "StoreIndex",
     "job_key",

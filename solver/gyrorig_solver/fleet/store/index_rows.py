@@ -23,6 +23,13 @@ MAX_TRACE_CHARS = 8_000
 # The newest version of a board is that of its last recording. Version numbers follow the order of
 # solving, and a backlog can be solved after later nights.
 NEWEST_FIRST_SQL = "start DESC NULLS LAST, version DESC"
+# Rows of sessions without a calibration. A new version of the solver, or new settings, solve the
+# same recordings in a new job: only the newest job of the same recordings counts.
+UNSUCCESSFUL_ROWS_SQL = (
+    "(SELECT * FROM (SELECT *, first_value(key) OVER (PARTITION BY list_sort(inputs) "
+    "ORDER BY created DESC, status = 'ok' DESC) AS newest_key FROM rows) "
+    "WHERE key = newest_key AND status <> 'ok')"
+)
 
 
 class IndexRow(msgspec.Struct, frozen=True, forbid_unknown_fields=True):

@@ -27,6 +27,7 @@ from gyrorig_solver.calibration import (
 from gyrorig_solver.fleet.store.coordination import exclusive_access
 from gyrorig_solver.fleet.store.index_rows import (
     NEWEST_FIRST_SQL,
+    UNSUCCESSFUL_ROWS_SQL,
     IndexRow,
     calibration_row,
     job_key,
@@ -156,12 +157,12 @@ def versions_by_measurement_time(store: Storage, board: BoardId) -> list[Measure
 def unsuccessful_work(
     store: Path | Storage, version_filter: VersionFilter, limit: int
 ) -> list[dict[str, Any]]:
-    """Return the jobs without a calibration, the latest first."""
+    """Return the recordings without a calibration, those of the latest job first."""
     where, values = version_filter.where_clause()
     names = ("status", "reason", "names", "board", "created", "trace")
     sql = (
-        f"SELECT {', '.join(names)} FROM rows WHERE status <> 'ok' AND {where} "  # noqa: S608
-        "ORDER BY created DESC LIMIT ?"
+        f"SELECT {', '.join(names)} FROM {UNSUCCESSFUL_ROWS_SQL} WHERE {where} "  # noqa: S608
+        "ORDER BY created DESC, names, board, key LIMIT ?"
     )
     return _rows_as_dicts(names, StoreIndex(store).query(sql, [*values, limit]))
 
