@@ -238,6 +238,7 @@ class ServiceProcess:
                     make_port_settings(config, paths),
                     wait_for_ports=True,
                     halt_pipe=self._requests.stop.halt_pipe,
+                    on_problem=self._log.write_line,
                 )
             )
             self._hub = hub

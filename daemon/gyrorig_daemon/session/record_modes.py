@@ -108,7 +108,11 @@ def record_in_real_time(task: RecordTask) -> Path:
                 program_begin_ns = process.power_up_ns + round(task.program_begin_s * 1e9)
             paths |= {port: process.paths[port] for port in emulated}
         hub = stack.enter_context(
-            AcquisitionHub(make_port_settings(config, paths), halt_pipe=task.stop.halt_pipe)
+            AcquisitionHub(
+                make_port_settings(config, paths),
+                halt_pipe=task.stop.halt_pipe,
+                on_problem=task.say,
+            )
         )
         collect_rarely()
         environment = SessionEnvironment(

@@ -1,17 +1,24 @@
 """`AcquisitionHub`: the ports of a real rig in real time, through the acquisition process."""
 
 import contextlib
-import json
 import os
 import select
-import subprocess
 from collections import deque
+from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
 from types import TracebackType
 from typing import NoReturn
 
 from gyrorig_daemon.links.ports import acquisition_pipe
+from gyrorig_daemon.links.ports.acquisition_child import (
+    HANGS,
+    KILL_DEADLINE_S,
+    await_end,
+    close_child,
+    kill_child,
+    start_child,
+)
 from gyrorig_daemon.links.ports.halt_on_disconnect import send_final_command
 from gyrorig_daemon.links.ports.halt_pipe import HaltPipe
 from gyrorig_daemon.links.ports.port_errors import port_error
@@ -26,7 +33,6 @@ from gyrorig_daemon.links.ports.port_kinds import SERIAL, PortSettings
 from gyrorig_daemon.links.ports.raw_clock import raw_ns
 from gyrorig_daemon.links.ports.report_queue import PIPE_BYTES
 from gyrorig_daemon.links.ports.supervised_port import RETRY_NS
-from gyrorig_protocol.child_process import module_command
 from gyrorig_protocol.errors import DeviceError, GyrorigError, MachineError, UsageError
 
 __all__ = ["AcquisitionHub", "PortSettings"]
@@ -34,7 +40,6 @@ __all__ = ["AcquisitionHub", "PortSettings"]
 WRITE_DEADLINE_NS = 500_000_000  # a port that takes no bytes delays all others by this
 REPORT_DEADLINE_NS = 4_000_000_000
 OPEN_DEADLINE_NS = 15_000_000_000
-CLOSE_DEADLINE_S = 2.0
 SPEAK_NS = 500_000_000  # three seconds of silence make the acquisition process halt the unit
 RETRY_S = RETRY_NS * 1e-9
 
@@ -48,6 +53,7 @@ class AcquisitionHub:
         wait_for_ports: bool = False,
         retry_s: float = RETRY_S,
         halt_pipe: HaltPipe | None = None,
+        on_problem: Callable[[str], None] = lambda text: None,
     ) -> None:
         """Open the ports in the acquisition process.
 
@@ -59,6 +65,7 @@ class AcquisitionHub:
                 broken; they are GONE until they can be opened.
             retry_s: mean time between two attempts to open a port.
             halt_pipe: orders for the acquisition process that do not pass through this hub.
+            on_problem: gets a sentence if the acquisition process cannot be ended.
 
         Raises:
             UsageError: a path is not a serial port, or two names have the same port.
@@ -86,6 +93,7 @@ class AcquisitionHub:
         self._reject_duplicate_ports()
         if halt_pipe is not None:
             halt_pipe.drain()  # orders of the time without an acquisition process
+        self._on_problem = on_problem
         self._urgent_fd, urgent_write_fd = os.pipe2(os.O_CLOEXEC)
         os.set_blocking(self._urgent_fd, False)
         arguments = {
@@ -96,30 +104,14 @@ class AcquisitionHub:
             "halt_fd": None if halt_pipe is None else halt_pipe.read_fd,
             "halting_signals": [] if halt_pipe is None else sorted(halt_pipe.halting_signals),
         }
+        passed_fds = (urgent_write_fd, *([] if halt_pipe is None else [halt_pipe.read_fd]))
         try:
-            self._child = subprocess.Popen(  # noqa: S603 - our own module, our own interpreter
-                module_command("gyrorig_daemon.links.ports.acquisition", json.dumps(arguments)),
-                stdin=subprocess.PIPE,
-                stdout=subprocess.PIPE,
-                bufsize=0,
-                start_new_session=True,  # Ctrl-C must reach the daemon only
-                pass_fds=(urgent_write_fd, *([] if halt_pipe is None else [halt_pipe.read_fd])),
-            )
-        except OSError as fault:
+            self._child, self._commands_fd, self._reports_fd = start_child(arguments, passed_fds)
+        except MachineError:
             os.close(self._urgent_fd)
-            raise MachineError(
-                f"the acquisition process cannot be started ({fault.strerror})",
-                "free memory or end other processes, and start the program again",
-            ) from fault
+            raise
         finally:
             os.close(urgent_write_fd)
-        if self._child.stdin is None or self._child.stdout is None:
-            raise MachineError(
-                "the operating system created no pipes to the acquisition process",
-                "start the program again",
-            )
-        self._commands_fd = self._child.stdin.fileno()
-        self._reports_fd = self._child.stdout.fileno()
         try:
             self._wait_until_open()
         except GyrorigError:
@@ -162,9 +154,10 @@ class AcquisitionHub:
         while True:
             report = self._next_urgent_report(deadline_ns + REPORT_DEADLINE_NS)
             if report is None:
-                self._child.kill()
-                self._child.wait()
-                self._halt_and_raise("the acquisition process did not respond and was killed")
+                reason = "the acquisition process did not respond and was killed"
+                self._halt_and_raise(
+                    reason if kill_child(self._child) else f"{reason}, but {HANGS}"
+                )
             if report.port == index and report.kind == acquisition_pipe.WRITTEN:
                 return WriteTimes(report.first_ns, report.second_ns)
             if report.port == index and report.kind == acquisition_pipe.FAULT:
@@ -243,14 +236,8 @@ class AcquisitionHub:
                 self._commands_fd,
                 acquisition_pipe.COMMAND_HEADER.pack(acquisition_pipe.CLOSE, 0, 0, 0),
             )
-        self._child.stdin.close()
-        try:
-            self._child.wait(CLOSE_DEADLINE_S)
-        except subprocess.TimeoutExpired:
-            self._child.kill()
-            self._child.wait()
-        if self._child.stdout is not None:
-            self._child.stdout.close()
+        if problem := close_child(self._child):
+            self._on_problem(problem)
         os.close(self._urgent_fd)
 
     def _wait_until_open(self) -> None:
@@ -368,8 +355,7 @@ class AcquisitionHub:
         Raises:
             PortsGoneError: always.
         """
-        with contextlib.suppress(subprocess.TimeoutExpired):
-            self._child.wait(CLOSE_DEADLINE_S)
+        await_end(self._child, KILL_DEADLINE_S)
         self._halt_and_raise(f"the acquisition process ended (status {self._child.returncode})")
 
     def _halt_and_raise(self, reason: str) -> NoReturn:
