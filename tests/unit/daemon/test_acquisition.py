@@ -517,6 +517,24 @@ def test_a_unit_that_was_unplugged_while_the_daemon_was_silent_is_halted() -> No
     assert os.read(device, 100) == b"H "
 
 
+def test_a_halted_unit_that_was_unplugged_is_halted_again_before_anything_else() -> None:
+    """The daemon has not run yet, so its halt on the returned port would be refused."""
+    device, line = pty.openpty()
+    tty.setraw(line)
+    os.set_blocking(device, False)
+    acquisition, port, _ = make_acquisition(PortSettings(os.ttyname(line), 9600, "H "))
+    acquisition._retry_closed_ports()
+    acquisition._last_command_ns = raw_ns() - 4 * SECOND_NS
+    acquisition._halt_if_silent(raw_ns())
+    select.select([device], [], [], PATIENCE_S)
+    assert os.read(device, 100) == b"H "
+    acquisition._drop_port(port, "it was unplugged", retry_now=True)
+    acquisition._retry_closed_ports()
+    acquisition._writes.accept(port, b"PP100 ", raw_ns() + SECOND_NS)  # of before the halt
+    select.select([device], [], [], 5.0)
+    assert os.read(device, 100) == b"H "
+
+
 def test_a_unit_whose_port_is_closed_when_the_daemon_dies_is_halted() -> None:
     device, line = pty.openpty()
     tty.setraw(line)

@@ -206,6 +206,10 @@ class Acquisition:
             if port.line is not None:
                 self._report(acquisition_pipe.BACK, port.index, raw_ns(), 0, b"")
                 self._register_port(port, port.line)
+                if port.halt_reason:
+                    # The first halt command can be lost in the adapter that was unplugged, and
+                    # the halt of the daemon is refused until it knows of the first one.
+                    self._writes.halt(port.halt_reason, port.is_halt_ordered)
 
     def _read_halt_orders(self) -> None:
         """Halt the unit if an order says so."""
