@@ -249,20 +249,19 @@ def _session_name(name: str | None, number: int | None) -> str:
 @contextmanager
 def _stop_by_signal() -> Iterator[StopFlag]:
     """Turn the first signal into a request to stop; the unit is halted before the end."""
-    halt_pipe = HaltPipe(frozenset(SIGNALS))
-    stop = StopFlag(halt_pipe)
+    with HaltPipe(frozenset(SIGNALS)) as halt_pipe:  # closed after the handlers, which use it
+        stop = StopFlag(halt_pipe)
 
-    def request(number: int, frame: FrameType | None) -> None:
-        stop.request(signal.Signals(number).name)
+        def request(number: int, frame: FrameType | None) -> None:
+            stop.request(signal.Signals(number).name)
 
-    previous_handlers = {number: signal.signal(number, request) for number in SIGNALS}
-    halt_pipe.catch_signals()
-    try:
-        yield stop
-    finally:
-        halt_pipe.close()
-        for number, handler in previous_handlers.items():
-            signal.signal(number, handler)
+        previous_handlers = {number: signal.signal(number, request) for number in SIGNALS}
+        halt_pipe.catch_signals()
+        try:
+            yield stop
+        finally:
+            for number, handler in previous_handlers.items():
+                signal.signal(number, handler)
 
 
 def _print_summary(summary: SessionSummary, terminal: Terminal) -> None:
