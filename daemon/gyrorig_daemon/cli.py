@@ -84,6 +84,7 @@ def _report_error(error: Exception, as_json: bool) -> int:
 
     import click  # noqa: PLC0415
 
+    from gyrorig_daemon.commands.terminal import print_line  # noqa: PLC0415
     from gyrorig_protocol.errors import GyrorigError, sentence  # noqa: PLC0415
 
     if isinstance(error, click.exceptions.NoArgsIsHelpError):
@@ -109,5 +110,5 @@ def _report_error(error: Exception, as_json: bool) -> int:
     if as_json:
         click.echo(json.dumps({"error": text, "exit_code": status}))
     clear_progress = "\r\x1b[K" if sys.stderr.isatty() else ""
-    click.echo(f"{clear_progress}gyrorigd: {text}", err=True)
+    print_line(f"gyrorigd: {text}", to_stderr=True, prefix=clear_progress)
     return status

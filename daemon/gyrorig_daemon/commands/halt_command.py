@@ -12,7 +12,7 @@ from typing import Any
 
 import click
 
-from gyrorig_daemon.commands.terminal import CONTEXT
+from gyrorig_daemon.commands.terminal import CONTEXT, print_line
 from gyrorig_daemon.halt.standalone_halt import USUAL_BAUDS, HaltResult, halt_unit
 from gyrorig_protocol.errors import DeviceError, UsageError
 
@@ -99,7 +99,7 @@ def halt_command(
 
 
 def _print_result(line: str, document: dict[str, Any], as_json: bool) -> None:
-    click.echo(json.dumps(document) if as_json else line)
+    print_line(json.dumps(document) if as_json else line)
 
 
 @dataclass(frozen=True, slots=True)

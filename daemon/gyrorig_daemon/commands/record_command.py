@@ -26,6 +26,7 @@ from gyrorig_daemon.links.pump import StopFlag
 from gyrorig_daemon.motion import RecordedMotion
 from gyrorig_daemon.session import record_modes
 from gyrorig_daemon.session.emulation_options import estimate_session_s, replay_begin_s
+from gyrorig_daemon.session.line_writer import escape_controls
 from gyrorig_daemon.session.session_description import SessionRequest
 from gyrorig_daemon.session.session_environment import SessionSummary, ignore_event
 from gyrorig_protocol.errors import InputError, UsageError
@@ -157,7 +158,7 @@ def record_command(context: click.Context, /, **options: Any) -> None:
             on_commitment=publish_commitment,
             on_event=print_event if terminal.verbose else ignore_event,
             on_summary=lambda summary: _print_summary(summary, terminal),
-            say=lambda line: progress.writer.write(f"{line}\n"),
+            say=lambda line: progress.writer.write(f"{escape_controls(line)}\n"),
         )
 
     with _stop_by_signal() as stop, ProgressLine(shows_progress) as progress:

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import click
 
-from gyrorig_daemon.commands.terminal import ProgressLine, Terminal, is_interactive
+from gyrorig_daemon.commands.terminal import ProgressLine, Terminal, is_interactive, print_line
 from gyrorig_daemon.recorder.recovery import RecoveryOutcome, recover_folder
 from gyrorig_protocol.errors import MachineError
 
@@ -51,7 +51,7 @@ def recover_command(terminal: Terminal, folder: Path, reserve_bytes: int, as_jso
         click.echo(json.dumps({"recovered": reports}))
         return
     for recovery in recoveries:
-        click.echo(recovery.text)
+        print_line(recovery.text)
     failed = [recovery for recovery in recoveries if recovery.outcome is RecoveryOutcome.FAILED]
     if failed:
         raise MachineError(

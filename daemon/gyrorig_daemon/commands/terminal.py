@@ -1,6 +1,7 @@
 """What every command of `gyrorigd` shares: verbosity, help texts, progress.
 
 What to use when: `Terminal` is the click object that the options of the group are stored in;
+`print_line` for a line with a text of a device or of a file;
 `keep_example_lines` for a command whose help has an example; `ProgressLine` for work of more
 than two seconds.
 """
@@ -14,7 +15,7 @@ from typing import Self
 
 import click
 
-from gyrorig_daemon.session.line_writer import LineWriter
+from gyrorig_daemon.session.line_writer import LineWriter, escape_controls
 
 CONTEXT = {"help_option_names": ["-h", "--help"]}
 ELAPSED_AFTER_S = 2.0  # a shorter command shows no time
@@ -32,7 +33,7 @@ class Terminal:
     def note(self, text: str) -> None:
         """Print one line on standard error, unless `--quiet` was given."""
         if not self.quiet:
-            click.echo(text, err=True)
+            print_line(text, to_stderr=True)
 
 
 class ProgressLine:
@@ -86,6 +87,14 @@ class ProgressLine:
         self._drawn_s = time.monotonic()
         elapsed = time.strftime("%M:%S", time.gmtime(self._drawn_s - self._start_s))
         self.writer.write(f"\r{self._text}{elapsed} elapsed {end}")
+
+
+def print_line(text: str, *, to_stderr: bool = False, prefix: str = "") -> None:
+    """Print one line; control characters of the text are escaped, those of the prefix are not.
+
+    A device or a file can send control sequences, which a terminal obeys.
+    """
+    click.echo(prefix + escape_controls(text), err=to_stderr)
 
 
 def is_interactive() -> bool:

@@ -32,6 +32,7 @@ from gyrorig_daemon.doctor.system_files import SystemFiles
 from gyrorig_daemon.doctor.unit_check import SUBJECT as UNIT
 from gyrorig_daemon.doctor.unit_check import check_unit
 from gyrorig_daemon.service.service_protocol import DEFAULT_SOCKET
+from gyrorig_daemon.session.line_writer import escape_controls
 from gyrorig_protocol.errors import sentence
 from gyrorig_protocol.ptu import Dialect, dialect_features
 
@@ -209,9 +210,9 @@ def _print(finding: Finding) -> None:
     word = f"{_LEVEL_NAMES[finding.level]:<8}"
     if sys.stdout.isatty() and not os.environ.get("NO_COLOR"):
         word = click.style(word, fg=_LEVEL_COLOURS[finding.level])
-    click.echo(f"{word}{finding.subject}: {finding.what}")
+    click.echo(word + escape_controls(f"{finding.subject}: {finding.what}"))
     if finding.remedy:
-        click.echo(f"{'':8}-> {sentence(finding.remedy).rstrip('.')}")
+        click.echo(f"{'':8}-> {escape_controls(sentence(finding.remedy).rstrip('.'))}")
     sys.stdout.flush()
 
 

@@ -28,6 +28,7 @@ from gyrorig_daemon.service.service_protocol import DEFAULT_SOCKET, SOCKET_NAME
 from gyrorig_daemon.service.state_folder import DEFAULT_STATE_FOLDER as DEFAULT_STATE
 from gyrorig_daemon.service.state_folder import is_in_use
 from gyrorig_daemon.service.status_screen import render_status
+from gyrorig_daemon.session.line_writer import escape_controls
 from gyrorig_protocol.errors import MachineError, sentence
 
 HALTING_SIGNALS = frozenset({signal.SIGTERM, signal.SIGINT})
@@ -109,9 +110,10 @@ def run_command(
 
     if check:
         rig = load_config(config_path).config
-        click.echo(
+        text = (
             f"{config_path}: the configuration is valid (rig {rig.rig}, {len(rig.boards)} boards)"
         )
+        click.echo(escape_controls(text))
         return
     with HaltPipe(HALTING_SIGNALS) as halt_pipe:
         requests = OperatorRequests(StopFlag(halt_pipe))
