@@ -281,14 +281,15 @@ def _with_dbc_text(board: BoardPort, folder: Path) -> BoardPort:
     return msgspec.structs.replace(board, signals=signals)
 
 
-def read_document(path: Path) -> bytes:
-    """Return the bytes of a configuration or program file.
+def read_document(path: Path, limit_bytes: int | None = None) -> bytes:
+    """Return the bytes of a configuration or program file; of a longer one, one byte too many.
 
     Raises:
         UsageError: the file does not exist, cannot be read, or is empty.
     """
     try:
-        text = path.read_bytes()
+        with path.open("rb") as file:
+            text = file.read(-1 if limit_bytes is None else limit_bytes + 1)
     except OSError as error:
         hint = did_you_mean(path.name, _sibling_names(path))
         raise UsageError(

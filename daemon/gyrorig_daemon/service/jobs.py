@@ -143,11 +143,12 @@ def validate_session_name(session: str | None) -> None:
 
 
 def parse_safe_program(text: bytes, name: str) -> MotionProgram:
-    """Return a program whose name can be logged and shown.
+    """Return a program that the main loop can plan in time, and whose name can be logged.
 
     Raises:
         UsageError: the program is invalid or too long, or its name has control characters.
     """
+    _check_size(text, name)
     program = parse_program(text, name)
     steps = _count_steps(program.steps)
     if steps > MAX_JOB_STEPS:
@@ -167,8 +168,8 @@ def parse_safe_program(text: bytes, name: str) -> MotionProgram:
 def _check_size(text: bytes, name: str) -> None:
     if len(text) > MAX_JOB_BYTES:
         raise UsageError(
-            f"{name} makes a job of {len(text)} bytes, and the daemon takes at most "
-            f"{MAX_JOB_BYTES}",
+            f"{name} makes a job that is too long, because the daemon takes at most "
+            f"{MAX_JOB_BYTES} bytes",
             "write repeated steps with `repeat`, or divide the program into several jobs",
         )
 

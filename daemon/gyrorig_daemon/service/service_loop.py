@@ -28,7 +28,7 @@ from enum import Enum
 from gyrorig_daemon.links.pump import StopRequestedError
 from gyrorig_daemon.recorder import RecorderState
 from gyrorig_daemon.service.experiment import Experiment
-from gyrorig_daemon.service.jobs import SessionJob
+from gyrorig_daemon.service.jobs import SessionJob, parse_safe_program
 from gyrorig_daemon.service.service_context import ServiceContext
 from gyrorig_daemon.service.session_runner import ServiceState, SessionRunner, StatusSummary
 from gyrorig_daemon.service.status_publisher import StatusPublisher
@@ -37,7 +37,6 @@ from gyrorig_daemon.service.unit_monitor import UnitMonitor, UnitPresence, send_
 from gyrorig_daemon.service.watchdog import WatchdogTimer
 from gyrorig_daemon.session.connected_rig import Rig
 from gyrorig_protocol.errors import DeviceError, GyrorigError, UsageError, sentence
-from gyrorig_protocol.program import parse_program
 
 IDLE_PERIOD_NS = 200_000_000
 WRITER_STALL_LIMIT_S = 20.0  # longest cycle of the writer's loop
@@ -213,7 +212,7 @@ class ServiceLoop:
         context.schedule.record_start(entry.name, clocks.monotonic_s(), clocks.utc_s())
         try:
             text = context.read_program(entry.program)
-            program = parse_program(text, entry.program)
+            program = parse_safe_program(text, entry.program)
         except UsageError as error:
             context.counts.sessions_failed += 1
             context.log(f"The session {entry.name} of the schedule is skipped this time. {error}")

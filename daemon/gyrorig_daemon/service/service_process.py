@@ -23,6 +23,7 @@ from gyrorig_daemon.live import NO_VIEW
 from gyrorig_daemon.live.foxglove_view import open_live_view
 from gyrorig_daemon.service.housekeeping import Housekeeping
 from gyrorig_daemon.service.job_queue import JobQueue
+from gyrorig_daemon.service.jobs import MAX_JOB_BYTES, parse_safe_program
 from gyrorig_daemon.service.metrics import MetricsWriter
 from gyrorig_daemon.service.persistent_state import PersistentState
 from gyrorig_daemon.service.schedule import Schedule
@@ -42,7 +43,6 @@ from gyrorig_daemon.session.garbage_collection import collect_rarely
 from gyrorig_daemon.session.line_writer import LineWriter
 from gyrorig_daemon.session.record_modes import make_port_settings
 from gyrorig_protocol.errors import GyrorigError, UsageError, sentence
-from gyrorig_protocol.program import parse_program
 
 REOPEN_DELAY_S = 2.0  # between two attempts to open the rig again
 ACQUISITION_STALL_LIMIT_S = 8.0  # longest time without an answer
@@ -87,7 +87,8 @@ def load_config(path: Path) -> LoadedConfig:
         )
     make_port_settings(config, config.ports())  # checks the driver and its commands
     for entry in config.schedule:
-        parse_program(read_document(path.parent / entry.program), entry.program)
+        program_text = read_document(path.parent / entry.program, MAX_JOB_BYTES)
+        parse_safe_program(program_text, entry.program)
     return LoadedConfig(config, text)
 
 
@@ -165,7 +166,9 @@ class ServiceProcess:
                 clocks=ServiceClocks(anchor_now, read_host_clocks, time.monotonic, time.time),
                 host=socket.gethostname(),
                 config_text=self._config.text,
-                read_program=lambda name: read_document(options.config_path.parent / name),
+                read_program=lambda name: read_document(
+                    options.config_path.parent / name, MAX_JOB_BYTES
+                ),
                 reload_config=self._reload_config,
                 publish=publish,
                 stalled_loops=lambda: self._stalled_loops(server),

@@ -451,6 +451,16 @@ def test_a_rig_that_is_lost_is_opened_anew(make_bench: Make) -> None:
     assert "The emulated rig has ended. It is started again." in bench.log
 
 
+def test_a_scheduled_program_that_has_become_too_long_is_skipped(make_bench: Make) -> None:
+    bench = make_bench(SCHEDULED)
+    bench.parts.read_program = lambda name: (
+        b"name: p\nsteps:\n" + b"  - rest: {seconds: 1}\n" * 3_000
+    )
+    bench.serve(20.0)
+    assert bench.recordings() == []
+    assert "the daemon takes at most 64000 bytes" in " ".join(bench.log)
+
+
 def test_a_schedule_is_kept(make_bench: Make) -> None:
     bench = make_bench(SCHEDULED)
     bench.serve(80.0, lambda: len(bench.recordings()) == 3)  # at once, at 36 s and at 72 s

@@ -94,6 +94,23 @@ def test_a_driver_or_command_that_does_not_exist_is_refused_at_load(
         service_process.load_config(path)
 
 
+LONG_PROGRAMS = {
+    "bytes": "name: p\nsteps:\n" + "  - rest: {seconds: 1.0}\n" * 3_000,
+    "steps": "name: p\nsteps:\n"
+    + "  - repeat: {times: 9000, steps: [{rest: {seconds: 1.0}}]}\n" * 3,
+    "name": 'name: "a\\e[2J"\nsteps:\n  - rest: {seconds: 1.0}\n',
+}
+
+
+@pytest.mark.parametrize("program", LONG_PROGRAMS.values(), ids=LONG_PROGRAMS)
+def test_a_program_of_the_schedule_has_the_limits_of_a_job(tmp_path: Path, program: str) -> None:
+    (tmp_path / "p.yaml").write_text(program)
+    path = tmp_path / "rig.yaml"
+    path.write_text(RIG + "schedule: [{name: often, program: p.yaml, every_h: 1.0}]\n")
+    with pytest.raises(UsageError, match=r"the daemon takes at most|has control characters"):
+        service_process.load_config(path)
+
+
 def test_a_reload_opens_the_new_rig(folder: Path) -> None:
     service = ScriptedProcess(folder, [lambda s: s.reload("second"), end])
     service.run()
