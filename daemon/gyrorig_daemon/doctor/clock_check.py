@@ -4,11 +4,10 @@ What to use when: `check_clocks`. Intervals are not affected: they are measured 
 monotonic clock. UTC is used for file names and dates.
 """
 
-import math
 import time
 from collections.abc import Iterator
 
-from gyrorig_daemon.clocks.capture_clock import STA_UNSYNC, HostClocks
+from gyrorig_daemon.clocks.capture_clock import HostClocks
 from gyrorig_daemon.doctor.finding import Finding, note, ok, warning
 from gyrorig_daemon.doctor.system_files import SystemFiles
 
@@ -40,9 +39,8 @@ def _check_utc(system: SystemFiles, clocks: HostClocks) -> Iterator[Finding]:
         )
         yield warning(SUBJECT, "wrong_date", message, remedy)
         return
-    is_unsynchronised = bool(clocks.ntp_status & STA_UNSYNC)
-    is_unsynchronised &= not math.isnan(clocks.frequency_ppm)
-    if is_unsynchronised or clocks.estimated_error_s > LARGE_ERROR_S:
+    is_synchronised = clocks.is_synchronised
+    if is_synchronised is False or clocks.estimated_error_s > LARGE_ERROR_S:
         reason = (
             f"although {services[0]} runs" if services else "because no program synchronises it"
         )
@@ -55,6 +53,15 @@ def _check_utc(system: SystemFiles, clocks: HostClocks) -> Iterator[Finding]:
             "run `chronyc tracking` or `timedatectl timesync-status` to see the reason"
             if services
             else "install the program chrony",
+        )
+        return
+    if is_synchronised is None:
+        yield note(
+            SUBJECT,
+            "synchronisation_unknown",
+            f"this program does not know whether the system clock ({time_text}) is "
+            "synchronised with UTC, because the system denies the call adjtimex",
+            "run `timedatectl` or `chronyc tracking` outside the container or sandbox",
         )
         return
     source = f" by {services[0]}" if services else ""

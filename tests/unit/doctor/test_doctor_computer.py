@@ -151,6 +151,9 @@ def test_clocks(system: SystemFiles) -> None:
     # no such call (a container without it): nothing is said that is not known
     unknown = replace(GOOD, frequency_ppm=float("nan"), estimated_error_s=float("nan"))
     assert codes(check_clocks(system, unknown)) == []
+    denied = replace(unknown, ntp_status=STA_UNSYNC)
+    (finding,) = check_clocks(system, denied)
+    assert (finding.level, finding.code) == (Level.NOTE, "synchronisation_unknown")
     put(system, "/sys/devices/system/clocksource/clocksource0/current_clocksource", "jiffies")
     assert codes(check_clocks(system, GOOD)) == ["slow_clock"]
     (system.path("/sys/class/rtc/rtc0/name")).unlink()
