@@ -69,10 +69,11 @@ class CitationIndex:
 def check_citation_counts(
     counts: Mapping[str, int], previous: RetentionMemory, memory_path: Path
 ) -> None:
-    """Check that no store has lost all of its citations.
+    """Check that each store is mounted, as far as that can be seen.
 
     Raises:
-        MachineError: a store had citations at the last check, and has none now.
+        MachineError: a store had citations at the last check, and has none now; or its folder is
+            empty, as is the folder below a disk that is not mounted.
     """
     for store, count in counts.items():
         previous_count = previous.citation_counts.get(store, 0)
@@ -83,6 +84,13 @@ def check_citation_counts(
                 "because the disk of the store may not be mounted",
                 "mount the disk of the store. If the store is empty on purpose, delete the file "
                 f"{memory_path}. All recordings then count as new",
+            )
+        if not count and not any(Path(store).iterdir()):
+            raise MachineError(
+                f"the folder of the calibration store {store} is empty. The daemon deletes no old "
+                "recordings, because the disk of the store may not be mounted",
+                "mount the disk of the store. If the store is new, create a file in its folder, "
+                f"for example with `touch {store}/new-store`",
             )
 
 

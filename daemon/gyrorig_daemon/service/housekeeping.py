@@ -180,12 +180,15 @@ class Housekeeping:
     def _calibration_stores(self, settings: ServiceSettings) -> list[Path]:
         """Return the calibration folders; each must exist that had citations or is in the settings.
 
+        The store of the state folder can be empty: it is on the disk of the recordings.
+
         Raises:
             MachineError: the memory of the last check cannot be read.
         """
         state_store = self._state.root / "calibrations"
         memory = read_memory(self._state.retention_memory)
-        is_needed = state_store.is_dir() or memory.citation_counts.get(str(state_store), 0) > 0
+        is_filled = state_store.is_dir() and any(state_store.iterdir())
+        is_needed = is_filled or memory.citation_counts.get(str(state_store), 0) > 0
         return [
             *([state_store] if is_needed else []),
             *(Path(path) for path in settings.stores),

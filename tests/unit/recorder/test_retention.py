@@ -133,6 +133,16 @@ def test_a_store_that_is_not_mounted_prevents_deletion(spool: Path, tmp_path: Pa
     assert left(spool) == ["r0.mcap"]
 
 
+def test_a_store_that_is_not_mounted_at_the_first_check(spool: Path, tmp_path: Path) -> None:
+    (tmp_path / "store").mkdir()
+    with pytest.raises(MachineError, match="may not be mounted"):
+        apply_retention(spool, RetentionRules(max_bytes=1), [tmp_path / "store"])
+    assert len(left(spool)) == 5
+    (tmp_path / "store" / "new-store").touch()
+    apply_retention(spool, RetentionRules(max_bytes=1), [tmp_path / "store"])
+    assert left(spool) == []
+
+
 def test_a_store_that_was_emptied_on_purpose(spool: Path, tmp_path: Path) -> None:
     store = store_citing(tmp_path, "- r0.mcap")
     apply_retention(spool, RetentionRules(), [store])

@@ -71,6 +71,14 @@ def test_the_oldest_go_and_what_is_cited_stays(keeper_of: Maker) -> None:
     ]
 
 
+def test_an_empty_store_in_the_state_folder_does_not_stop_the_deleting(keeper_of: Maker) -> None:
+    keeper, state, log_lines = keeper_of(ServiceSettings(keep_mb=1))
+    (state.root / "calibrations").mkdir()
+    keeper.free_space()
+    assert log_lines == []
+    assert keeper.counts.retention_failures == 0
+
+
 def test_a_store_that_is_not_mounted_stops_all_deleting(keeper_of: Maker) -> None:
     keeper, state, log_lines = keeper_of(ServiceSettings(keep_mb=1, stores=("/none/there",)))
     paths = recordings(state.recordings, 3)
