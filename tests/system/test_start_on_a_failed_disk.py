@@ -39,6 +39,22 @@ def fill(folder: Path) -> None:
             file.write(bytes(1024))
 
 
+def test_a_first_start_on_a_read_only_disk_halts_the_unit(
+    service: Service, devices: Devices, state_disk: Path
+) -> None:
+    """The folders of the queue do not exist and cannot be created."""
+    assert run("mount", "-o", "remount,ro", state_disk)
+    assert devices.rig.ptu is not None
+    devices.rig.ptu.receive(b"PS50 PP3000 ", raw_now_ns())
+    wait_for(devices.turning)
+    process = service.start()
+    _, errors = process.communicate(timeout=60)
+    assert process.returncode == 1
+    assert "cannot be used" in errors
+    assert devices.halts() == 1
+    wait_for(lambda: not devices.turning(), 10.0)
+
+
 @pytest.mark.parametrize("fault", ["full", "read-only", "read-only without a lock"])
 def test_a_start_on_a_failed_disk_halts_the_unit(
     service: Service, devices: Devices, state_disk: Path, fault: str

@@ -2,14 +2,15 @@
 
 The order: the configuration; the lock of the state folder and the socket, so that a second
 process ends immediately; the ports; a halt, before anything else is sent; readiness; the main loop
-(`service_loop`). If the acquisition process ends, the ports are opened again, without limit.
+(`service_loop`). If the service cannot start, it halts the unit before it ends. If the
+acquisition process ends, the ports are opened again, without limit.
 """
 
 import secrets
 import socket
 import time
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -37,13 +38,15 @@ from gyrorig_daemon.service.service_loop import LoopExit, ServiceLoop
 from gyrorig_daemon.service.state_folder import StateFolder
 from gyrorig_daemon.service.status_server import Peer, StatusServer
 from gyrorig_daemon.service.systemd_notifier import SystemdNotifier
+from gyrorig_daemon.service.unit_monitor import send_initial_halt
 from gyrorig_daemon.session.connected_rig import Rig
 from gyrorig_daemon.session.emulation_options import EmulationOptions
 from gyrorig_daemon.session.garbage_collection import collect_rarely
 from gyrorig_daemon.session.line_writer import LineWriter
 from gyrorig_daemon.session.record_modes import make_port_settings
-from gyrorig_protocol.errors import GyrorigError, UsageError, sentence
+from gyrorig_protocol.errors import BusyError, GyrorigError, UsageError, sentence
 
+HALT_SENDING_NS = 500_000_000  # the close of a port can discard what is not sent yet
 REOPEN_DELAY_S = 2.0  # between two attempts to open the rig again
 ACQUISITION_STALL_LIMIT_S = 8.0  # longest time without an answer
 EMULATED_SESSION_S = (0.0, 3_600.0)  # events of injected causes are in this interval
@@ -125,63 +128,89 @@ class ServiceProcess:
             UsageError: a port cannot be used as configured.
             MachineError: the computer cannot provide what is needed.
         """
-        options = self._options
         with ExitStack() as stack:
             stack.enter_context(self._log)
-            state_folder = stack.enter_context(StateFolder(options.state))
-            server = stack.enter_context(
-                StatusServer(options.socket, self._handle_command, self._counts)
-            )
-            metrics = MetricsWriter(options.metrics or state_folder.metrics)
-            stack.callback(metrics.close)
-            housekeeping = Housekeeping(
-                state_folder,
-                lambda: self._config.config.service,
-                _valid_utc_s,
-                self._log.write_line,
-            )
-            stack.callback(housekeeping.close)
-            housekeeping.start()
-            view = open_live_view(options.live, self._log.write_line)
-            stack.callback(view.close)
-            self._view = view
-
-            def publish(status: dict[str, Any]) -> None:
-                server.publish(status)
-                metrics.publish(status)
-                view.show_status(status)
-
-            queue = JobQueue(state_folder.queue)
-            stack.callback(queue.close)
-            context = ServiceContext(
-                state_folder=state_folder,
-                queue=queue,
-                schedule=Schedule(
-                    self._config.config.schedule, state_folder.schedule, time.monotonic()
-                ),
-                persistent=PersistentState(state_folder.persistent_state, time.time()),
-                requests=self._requests,
-                counts=self._counts,
-                notifier=self._notifier,
-                clocks=ServiceClocks(anchor_now, read_host_clocks, time.monotonic, time.time),
-                host=socket.gethostname(),
-                config_text=self._config.text,
-                read_program=lambda name: read_document(
-                    options.config_path.parent / name, MAX_JOB_BYTES
-                ),
-                reload_config=self._reload_config,
-                publish=publish,
-                stalled_loops=lambda: self._stalled_loops(server),
-                dropped_bytes=self._total_dropped_bytes,
-                reopen_reason=self._reopen_reason,
-                log=self._log.write_line,
-                housekeeping=housekeeping,
-                seed=time.monotonic_ns(),
-                view=view,
-            )
+            try:
+                context = self._prepare(stack)
+            except BusyError:
+                raise  # the unit belongs to another daemon
+            except Exception:
+                self._halt_before_end()
+                raise
             collect_rarely()
             self._serve(context)
             self._notifier.send_stopping()
+
+    def _prepare(self, stack: ExitStack) -> ServiceContext:
+        """Open everything except the ports; `stack` closes it.
+
+        Raises:
+            BusyError: another program uses the folder or the socket.
+            MachineError: the computer cannot provide what is needed.
+        """
+        options = self._options
+        state_folder = stack.enter_context(StateFolder(options.state))
+        server = stack.enter_context(
+            StatusServer(options.socket, self._handle_command, self._counts)
+        )
+        metrics = MetricsWriter(options.metrics or state_folder.metrics)
+        stack.callback(metrics.close)
+        housekeeping = Housekeeping(
+            state_folder,
+            lambda: self._config.config.service,
+            _valid_utc_s,
+            self._log.write_line,
+        )
+        stack.callback(housekeeping.close)
+        housekeeping.start()
+        view = open_live_view(options.live, self._log.write_line)
+        stack.callback(view.close)
+        self._view = view
+
+        def publish(status: dict[str, Any]) -> None:
+            server.publish(status)
+            metrics.publish(status)
+            view.show_status(status)
+
+        queue = JobQueue(state_folder.queue)
+        stack.callback(queue.close)
+        return ServiceContext(
+            state_folder=state_folder,
+            queue=queue,
+            schedule=Schedule(
+                self._config.config.schedule, state_folder.schedule, time.monotonic()
+            ),
+            persistent=PersistentState(state_folder.persistent_state, time.time()),
+            requests=self._requests,
+            counts=self._counts,
+            notifier=self._notifier,
+            clocks=ServiceClocks(anchor_now, read_host_clocks, time.monotonic, time.time),
+            host=socket.gethostname(),
+            config_text=self._config.text,
+            read_program=lambda name: read_document(
+                options.config_path.parent / name, MAX_JOB_BYTES
+            ),
+            reload_config=self._reload_config,
+            publish=publish,
+            stalled_loops=lambda: self._stalled_loops(server),
+            dropped_bytes=self._total_dropped_bytes,
+            reopen_reason=self._reopen_reason,
+            log=self._log.write_line,
+            housekeeping=housekeeping,
+            seed=time.monotonic_ns(),
+            view=view,
+        )
+
+    def _halt_before_end(self) -> None:
+        """Halt the unit of a service that cannot start; nothing else is sent to it."""
+        if self._config.config.ptu.port == EMULATED:
+            return
+        with suppress(GyrorigError, OSError), self._open_rig() as rig:
+            send_initial_halt(rig)
+            rig.pump.run_until(rig.pump.now_ns() + HALT_SENDING_NS)
+            self._log.write_line(
+                "The service cannot start. It has sent the halt command to the pan-tilt unit."
+            )
 
     def _serve(self, context: ServiceContext) -> None:
         previous_config: LoadedConfig | None = (

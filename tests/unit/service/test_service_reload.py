@@ -1,5 +1,8 @@
 """The service process: which configuration is in force if ports cannot be opened."""
 
+import os
+import pty
+import select
 import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -13,7 +16,7 @@ from gyrorig_daemon.service import service_process
 from gyrorig_daemon.service.service_context import OperatorRequests, ServiceContext
 from gyrorig_daemon.service.service_loop import LoopExit
 from gyrorig_daemon.service.systemd_notifier import SystemdNotifier
-from gyrorig_protocol.errors import BusyError, UsageError
+from gyrorig_protocol.errors import BusyError, MachineError, UsageError
 
 RIG = (
     "rig: NAME\nptu: {port: emulated, baud: 115200}\n"
@@ -92,6 +95,26 @@ def test_a_driver_or_command_that_does_not_exist_is_refused_at_load(
     path.write_text(RIG.replace("port: emulated, baud: 115200", f"port: emulated, {ptu}"))
     with pytest.raises(UsageError):
         service_process.load_config(path)
+
+
+def test_a_service_that_cannot_start_halts_the_unit(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    device, line = pty.openpty()
+    config = tmp_path / "rig.yaml"
+    unit = f"port: {os.ttyname(line)}, baud: 9600"
+    config.write_text(RIG.replace("port: emulated, baud: 115200", unit, 1))
+    (tmp_path / "state").mkdir()
+    (tmp_path / "state" / "queue").touch()  # as on a read-only disk: no folder, and none can be
+    options = service_process.ServiceOptions(config, tmp_path / "state", tmp_path / "s")
+    service = service_process.ServiceProcess(options, OperatorRequests(), SystemdNotifier(None))
+    with pytest.raises(MachineError, match="cannot be used"):
+        service.run()
+    assert select.select([device], [], [], 0.0)[0]
+    assert os.read(device, 100).strip(b" ") == b"H"
+    assert "has sent the halt command" in capsys.readouterr().err
+    os.close(device)
+    os.close(line)
 
 
 LONG_PROGRAMS = {
