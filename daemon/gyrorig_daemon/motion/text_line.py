@@ -182,7 +182,9 @@ class TextLine:
 
     def _handle_reply(self, text: str, raw: bytes, received_ns: int) -> None:
         is_awaited = self._is_awaited is None or self._is_awaited(text)
-        if not self._in_flight or self._reply is not None or not is_awaited:
+        # Received before the command was written: a superfluous reply to the command before it.
+        is_early = self._last_request_ns is not None and received_ns < self._last_request_ns
+        if not self._in_flight or self._reply is not None or not is_awaited or is_early:
             self.counts.stale += 1
             return
         self._reply = Reply(True, text, "", raw, self._first_ns, received_ns)

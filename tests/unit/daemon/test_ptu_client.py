@@ -15,7 +15,7 @@ from gyrorig_daemon.motion.directed_perception.unit_setup import identify_unit
 from gyrorig_daemon.motion.drivers.directed_perception import DirectedPerceptionUnit
 from gyrorig_protocol.errors import DeviceError, UsageError
 from gyrorig_protocol.program import PtuSettings
-from gyrorig_protocol.ptu import Axis, Quantity, query_quantity
+from gyrorig_protocol.ptu import Axis, Quantity, assign_quantity, query_quantity
 from gyrorig_protocol.ptu.ptu_commands import HALT_BOTH_AXES, QUERY_VERSION
 
 MS = 1_000_000
@@ -318,6 +318,22 @@ def test_a_superfluous_refusal_does_not_shift_the_replies() -> None:
     assert [text for text, _ in replies if not text.isdigit()] == ["Illegal argument"]
     assert all(text == expected for text, expected in replies if text.isdigit())
     assert client.counts.stale == 1
+
+
+def test_a_superfluous_reply_from_before_the_command_is_discarded() -> None:
+    """It fits the command, but was received before the command was written."""
+    unit = ScriptedUnit()
+    client, hub, _ = client_for(unit)
+    client.is_identified = True
+    move = assign_quantity(Axis.PAN, Quantity.POSITION, 100)
+    client.send_command(move)
+    hub._due.append(Chunk(PTU_PORT, hub.now_ns() + MS, b"*\r\n"))
+    hub._now_ns += 2 * MS  # the event loop reads the reply after it has written
+    unit.odd["PP100"] = b"! Maximum allowable position is 90\r\n"
+    with pytest.raises(DeviceError, match="Maximum"):
+        client.send_command(move)
+    assert client.counts.stale == 1
+    assert hub.heard == ["PP100"] * 2  # no further exchange delays the command
 
 
 @pytest.mark.parametrize("late_s", [1.05, 1.2, 2.5])

@@ -10,6 +10,7 @@ from gyrorig_daemon.clocks.capture_clock import CaptureClock
 from gyrorig_daemon.config import parse_rig
 from gyrorig_daemon.emulator.emulated_rig import EmulatedRig
 from gyrorig_daemon.emulator.virtual_hub import VirtualHub
+from gyrorig_daemon.links.ports.port_hub import Chunk, WriteTimes
 from gyrorig_daemon.links.pump import StopFlag, StopRequestedError
 from gyrorig_daemon.motion import (
     AxisTarget,
@@ -238,6 +239,24 @@ def test_a_superfluous_line_does_not_shift_the_positions(monkeypatch: pytest.Mon
             for ns in (poll.earliest_ns, poll.latest_ns)
         )
         assert all(earliest <= steps <= latest for steps in poll.steps.values())
+
+
+def test_a_reply_from_before_the_query_is_discarded(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The event loop reads it after it has written the query, whose reply it could be."""
+    bench = Bench()
+    bench.open()
+    write, read = bench.hub.write, bench.hub.read
+    unread: list[Chunk] = []
+
+    def write_late(port: str, data: bytes) -> WriteTimes:
+        times = write(port, data)
+        unread.append(Chunk("ptu", times.before_ns - 1, b"99.0\n"))
+        return times
+
+    monkeypatch.setattr(bench.hub, "write", write_late)
+    monkeypatch.setattr(bench.hub, "read", lambda end: unread.pop() if unread else read(end))
+    assert bench.driver.poll().steps == {Axis.PAN: 0}
+    assert bench.driver.counts.stale == 1
 
 
 def test_another_device_on_the_port_is_never_moved() -> None:

@@ -9,7 +9,10 @@ Theory of operation. A reply does not say which command it belongs to. One that 
 its timeout would be taken for the reply to the next command. Therefore, after a timeout, a reply
 that does not fit or a refused poll, the line is out of step: before the next command the unit is
 asked for its version. It replies in order, and that reply fits no other query, so everything
-before it is stale. Only HALT is written first, in step or not.
+before it is stale. Only HALT is written first, in step or not. A reply that was received before
+the command was written is stale, too. A superfluous reply that arrives between a command and its
+reply is taken for its reply, if it fits: nothing in it shows the command that it belongs to. The
+reply itself is then stale, because it arrives when none is expected or before the next command.
 """
 
 import contextlib
@@ -90,6 +93,7 @@ class PtuClient:
         self._is_garbled = False
         self._limit_hit = False
         self._last_request_ns: int | None = None
+        self._request_ns = 0  # of the last command; what was received before is no reply to it
         self.counts = PtuLineCounts()
         self.min_interval_s = 0.0
         self.is_resetting = False
@@ -134,7 +138,7 @@ class PtuClient:
         self._raw.clear()
         self._in_flight, self._reply_filter = command, reply_filter
         write_times = self._pump.write(self._port, command.encode())
-        self._last_request_ns = write_times.before_ns
+        self._last_request_ns = self._request_ns = write_times.before_ns
         self._pump.run_until(write_times.after_ns + int(wait_s * 1e9), self._is_exchange_over)
         self._in_flight = None
         exchange = self._make_exchange(command, write_times.before_ns, write_times.after_ns)
@@ -256,7 +260,8 @@ class PtuClient:
                         self.lost_synchrony = "it has restarted"
                 case InvalidLine():
                     self.counts.frame_errors += 1
-                    self._is_garbled = self._in_flight is not None and self._reply_filter is None
+                    is_awaited = self._in_flight is not None and self._reply_filter is None
+                    self._is_garbled |= is_awaited and chunk.received_ns >= self._request_ns
 
     def _handle_port_gone(self) -> None:
         """The unit keeps executing its last command, and nobody observes it."""
@@ -278,6 +283,8 @@ class PtuClient:
 
     def _is_awaited(self, reply: Reply) -> bool:
         if self._in_flight is None or self._reply is not None:
+            return False
+        if reply.last_byte_ns < self._request_ns:
             return False
         return self._reply_filter is None or self._reply_filter(reply)
 
