@@ -20,6 +20,8 @@ solver ends at most `GRACE_S` later.
 """
 
 import contextlib
+import itertools
+import os
 import shutil
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -99,7 +101,7 @@ class Experiment:
         self._progress = _Progress(
             job,
             limits,
-            self._context.state_folder.experiments / job.name,
+            _unused_folder(self._context.state_folder.experiments / job.name),
             clocks.monotonic_s(),
             clocks.utc_s(),
             replace(job, path=None, is_round=True),
@@ -314,6 +316,12 @@ class Experiment:
         }
         context.queue.finish(progress.job, result == "done", document)
         context.log(sentence(f"Experiment {progress.job.name} {result}: {reason}"))
+
+
+def _unused_folder(folder: Path) -> Path:
+    """Return a folder that does not exist; an earlier job can have the same name."""
+    numbered = (folder.with_name(f"{folder.name}-{number}") for number in itertools.count(2))
+    return next(path for path in itertools.chain((folder,), numbered) if not os.path.lexists(path))
 
 
 def limits_document(config: RigConfig) -> bytes:

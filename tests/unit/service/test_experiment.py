@@ -99,6 +99,20 @@ def test_no_session_begins_that_would_end_later(make_bench: Make) -> None:
     assert bench.recordings() == []
 
 
+def test_a_second_job_of_the_same_name_has_a_folder_of_its_own(make_bench: Make) -> None:
+    """Before, its solver was not started, because the folder existed."""
+    bench = make_bench()
+    bench.put(until_named=UntilNamed())
+    job = bench.parts.queue.take_next()
+    (bench.state.experiments / job.name / "round-1").mkdir(parents=True)
+    experiment = bench.daemon._experiment
+    experiment.begin(job)
+    experiment.end_round(RoundOutcome("done", "", ()))
+    assert is_explaining(bench)
+    assert (bench.state.experiments / f"{job.name}-2" / "round-1").is_dir()
+    experiment.abandon("the end of the test")
+
+
 def test_a_recording_without_a_cause_ends_it(make_bench: Make) -> None:
     bench = make_bench()
     bench.waits_for_solver = True
