@@ -1,8 +1,9 @@
-"""Housekeeping of recordings: recovery after a crash, and retention.
+"""Housekeeping: recovery after a crash, leftover temporary files, and retention.
 
 What to use when: one `Housekeeping` per process. Its thread first lets a child process recover
-what a crash has left, because that reads whole files. Then it deletes what the rig's document
-permits, at the start and once per hour. `free_space` does the same when a recorder needs space.
+what a crash has left, because that reads whole files. Then it removes temporary files of killed
+processes, and deletes what the rig's document permits, at the start and once per hour.
+`free_space` does the same when a recorder needs space.
 No recording waits for any of this.
 """
 
@@ -16,10 +17,12 @@ from pathlib import Path
 
 from gyrorig_daemon.config.service_settings import ServiceSettings
 from gyrorig_daemon.recorder import Recorder
+from gyrorig_daemon.recorder.recovery import UNCLEAN_FOLDER
 from gyrorig_daemon.recorder.retention import RetentionRules, apply_retention
 from gyrorig_daemon.recorder.retention_memory import read_memory
 from gyrorig_daemon.service.recording_policy import recorder_settings, retention_rules
 from gyrorig_daemon.service.state_folder import StateFolder
+from gyrorig_protocol.atomic_files import remove_leftovers
 from gyrorig_protocol.child_process import module_command
 from gyrorig_protocol.errors import GyrorigError
 
@@ -50,6 +53,7 @@ class Housekeeping:
         settings: Callable[[], ServiceSettings],
         valid_utc_s: Callable[[], float | None],
         log: Callable[[str], None],
+        metrics_path: Path | None = None,
     ) -> None:
         """Prepare; `start` starts the thread.
 
@@ -58,11 +62,13 @@ class Housekeeping:
             settings: returns the settings of the configuration in force.
             valid_utc_s: returns the system time, None while it is not valid.
             log: writes a line to the log.
+            metrics_path: file of the metrics.
         """
         self._state = state
         self._settings = settings
         self._valid_utc_s = valid_utc_s
         self._log = log
+        self._metrics_path = metrics_path
         self._lock = threading.Lock()
         self._stopping = threading.Event()
         self._wake = threading.Event()
@@ -108,9 +114,21 @@ class Housekeeping:
         """Delete what the rules permit, because less than the reserve is free."""
         self._apply_retention()
 
+    def remove_leftovers(self) -> None:
+        """Remove temporary files of processes that were killed while they wrote a small file."""
+        state, queue = self._state, self._state.queue
+        state_files = (state.schedule, state.persistent_state, state.retention_memory)
+        files = [*state_files, *([] if self._metrics_path is None else [self._metrics_path])]
+        for path in files:
+            remove_leftovers(path.parent, path.name)
+        remove_leftovers(queue, ".yaml")
+        for folder in (queue / "done", queue / "failed", state.recordings / UNCLEAN_FOLDER):
+            remove_leftovers(folder, ".json")
+
     def _run(self) -> None:
         self._recover()
         while not self._stopping.is_set():
+            self.remove_leftovers()
             self._apply_retention()
             self._wake.wait(RETENTION_PERIOD_S)
             self._wake.clear()

@@ -31,6 +31,7 @@ from typing import Any
 
 from gyrorig_daemon.service.jobs import MAX_JOB_BYTES, SessionJob, parse_job
 from gyrorig_daemon.service.state_folder import tolerate_unwritable_disk
+from gyrorig_protocol.atomic_files import lock_temporary
 from gyrorig_protocol.errors import GyrorigError, MachineError, UsageError
 
 INTERRUPTED = (
@@ -39,6 +40,7 @@ INTERRUPTED = (
 )
 MAX_KEPT_RESULTS = 1_000  # in done/ and in failed/ each
 MAX_KEPT_STEM = 200  # characters of the name of a job that gets a new name
+MAX_TEMPORARY_STEM = 40  # characters
 MAX_JOBS = 4_096  # waiting jobs; the others are seen when these are gone
 MAX_SCANNED = 100_000  # entries of the folder; reading them takes 0.1 s
 MAX_REJECTED_AT_ONCE = 16  # files of one call; the event loop waits for it
@@ -231,16 +233,18 @@ def _names(folder_fd: int, suffix: str) -> list[str]:
 
 def _write_in(folder_fd: int, name: str, data: bytes, durable: bool) -> None:
     """Write a file of an opened folder in one step; no link in the folder is followed."""
-    temporary = f".{secrets.token_hex(8)}.new"
+    # `remove_leftovers` recognises it; the name of a file has at most 255 bytes.
+    temporary = f".{name[-MAX_TEMPORARY_STEM:]}.{secrets.token_hex(4)}"
     flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
     descriptor = os.open(temporary, flags, RESULT_MODE, dir_fd=folder_fd)
     try:
         with os.fdopen(descriptor, "wb") as file:
+            lock_temporary(file.fileno())
             file.write(data)
             file.flush()
             if durable:
                 os.fsync(file.fileno())
-        os.rename(temporary, name, src_dir_fd=folder_fd, dst_dir_fd=folder_fd)
+            os.rename(temporary, name, src_dir_fd=folder_fd, dst_dir_fd=folder_fd)
     except OSError:
         os.unlink(temporary, dir_fd=folder_fd)
         raise

@@ -160,6 +160,7 @@ class ServiceProcess:
             lambda: self._config.config.service,
             _valid_utc_s,
             self._log.write_line,
+            metrics.path,
         )
         stack.callback(housekeeping.close)
         housekeeping.start()

@@ -1,11 +1,19 @@
 """A file is written whole or not at all."""
 
 import os
+import signal
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
 
-from gyrorig_protocol.atomic_files import sync_directory, write_atomically
+from gyrorig_protocol.atomic_files import (
+    lock_temporary,
+    remove_leftovers,
+    sync_directory,
+    write_atomically,
+)
 
 
 def names(folder: Path) -> list[str]:
@@ -107,3 +115,73 @@ def test_the_folder_is_closed_again(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     sync_directory(tmp_path)
     with pytest.raises(OSError, match="Bad file descriptor"):
         os.fstat(opened[0])
+
+
+KILLED = """
+import os, pathlib, signal, sys
+from gyrorig_protocol.atomic_files import write_atomically
+os.fchmod = lambda *_: os.kill(os.getpid(), signal.SIGKILL)
+write_atomically(pathlib.Path(sys.argv[1]), b"new")
+"""
+
+
+def make_old(path: Path) -> Path:
+    path.touch()
+    os.utime(path, (1e9, 1e9))
+    return path
+
+
+def test_a_file_that_a_killed_process_has_left_is_removed(tmp_path: Path) -> None:
+    killed = subprocess.run([sys.executable, "-c", KILLED, tmp_path / "a.json"], check=False)
+    assert killed.returncode == -signal.SIGKILL
+    (leftover,) = tmp_path.iterdir()
+    assert remove_leftovers(tmp_path, ".json") == 0  # too new
+    make_old(leftover)
+    assert remove_leftovers(tmp_path, ".yaml") == 0
+    assert remove_leftovers(tmp_path, "a.json") == 1
+    assert names(tmp_path) == []
+
+
+def test_a_file_that_is_being_written_stays(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    removed: list[int] = []
+    fchmod = os.fchmod
+
+    def remove_meanwhile(descriptor: int, mode: int) -> None:
+        (temporary,) = tmp_path.iterdir()
+        make_old(temporary)
+        removed.append(remove_leftovers(tmp_path, ".json"))
+        fchmod(descriptor, mode)
+
+    monkeypatch.setattr(os, "fchmod", remove_meanwhile)
+    write_atomically(tmp_path / "a.json", b"new")
+    assert removed == [0]
+    assert (tmp_path / "a.json").read_bytes() == b"new"
+
+
+def test_other_files_are_no_leftovers(tmp_path: Path) -> None:
+    others = [
+        ".a.json",
+        "a.json",
+        ".a.json.abc",
+        ".a.json.ABCDEFGH",
+        "b.json.abcdefgh",
+        ".abcdefgh",
+    ]
+    for name in others:
+        make_old(tmp_path / name)
+    (tmp_path / ".l.json.abcdefgh").symlink_to(tmp_path / "a.json")
+    (tmp_path / ".d.json.abcdefgh").mkdir()
+    os.mkfifo(tmp_path / ".p.json.abcdefgh")
+    before = names(tmp_path)
+    assert remove_leftovers(tmp_path, ".json") == 0
+    assert names(tmp_path) == before
+    assert remove_leftovers(tmp_path / "none", ".json") == 0
+
+
+def test_a_lock_that_the_file_system_lacks_is_no_fault() -> None:
+    read_fd, write_fd = os.pipe()
+    os.close(read_fd)
+    lock_temporary(write_fd)
+    os.close(write_fd)

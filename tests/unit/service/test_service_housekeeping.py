@@ -47,6 +47,26 @@ def wait_for(condition: Callable[[], bool]) -> None:
 Maker = Callable[[ServiceSettings], tuple[Housekeeping, StateFolder, list[str]]]
 
 
+def test_temporary_files_of_killed_processes_are_removed(tmp_path: Path, keeper_of: Maker) -> None:
+    _, state, log_lines = keeper_of(ServiceSettings())
+    folders = [state.root, state.queue, state.queue / "done", state.recordings / "unclean"]
+    written = ["rig.json", "survey.yaml", "survey.result.json", "a.mcap.part.json"]
+    for folder, name in zip(folders, written, strict=True):
+        folder.mkdir(exist_ok=True)
+        for path in (folder / f".{name}.a1b2c3d4", folder / name):
+            path.touch()
+            os.utime(path, (1e9, 1e9))
+    metrics = tmp_path / "metrics" / "gyrorig.prom"
+    metrics.parent.mkdir()
+    (metrics.parent / ".gyrorig.prom.a1b2c3d4").touch()
+    os.utime(metrics.parent / ".gyrorig.prom.a1b2c3d4", (1e9, 1e9))
+    keeper = Housekeeping(state, ServiceSettings, time.time, log_lines.append, metrics)
+    keeper.start()
+    wait_for(lambda: not list(tmp_path.rglob(".*.a1b2c3d4")))
+    keeper.close()
+    assert all((folder / name).exists() for folder, name in zip(folders, written, strict=True))
+
+
 def test_nothing_is_deleted_without_a_rule(keeper_of: Maker) -> None:
     keeper, state, log_lines = keeper_of(ServiceSettings())
     paths = recordings(state.recordings, 5)
