@@ -93,6 +93,7 @@ class OpenedPart:
 
     writer: RecordingWriter
     number: int
+    previous: str  # file name of the part before it
     metadata_version: int  # version of the metadata in it
 
 
@@ -136,7 +137,7 @@ class PartOpener:
         writer = RecordingWriter(
             path, metadata, attachments, disk=self._disk, owner_syncs=True, sync_at_start=lasting
         )
-        return OpenedPart(writer, number, version)
+        return OpenedPart(writer, number, previous, version)
 
     def free_bytes(self, wanted_bytes: int) -> int:
         """Return the free space; make room first if it is less than wanted.
@@ -183,20 +184,29 @@ class NextPart:
         if self._job is not None:
             futures.wait([self._job])
 
-    def take(self) -> OpenedPart | BaseException | None:
-        """Return the part or the error, once; None while it is being opened."""
+    def take(self, previous: str) -> OpenedPart | BaseException | None:
+        """Return the part or the error, once; None while it is being opened.
+
+        A part that does not follow the part `previous` is discarded: the one that it follows was
+        empty, and does not exist any more.
+        """
         job = self._job
         if job is None or not job.done():
             return None
         self._job = None
-        return job.exception() or job.result()
+        if (fault := job.exception()) is not None:
+            return fault
+        part = job.result()
+        if part.previous == previous:
+            return part
+        self._worker.submit(part.writer.discard)
+        return None
 
     def discard(self) -> None:
         """Discard a part that is being opened: it would be empty."""
-        self.wait()
-        part = self.take()
-        if isinstance(part, OpenedPart):
-            self._worker.submit(part.writer.discard)
+        job, self._job = self._job, None
+        if job is not None and job.exception() is None:  # it waits for the end of the job
+            self._worker.submit(job.result().writer.discard)
 
 
 class SpaceCheck:

@@ -52,10 +52,16 @@ class PartSchedule:
             self._last_space_check_ns = self._now_ns
         return is_due
 
-    def is_part_due(self, bytes_written: int) -> bool:
-        """Return whether the next part is due, by the time or the size of this one."""
+    def is_part_due(self, bytes_written: int, is_empty: bool) -> bool:
+        """Return whether the next part is due, by the time or the size of this one.
+
+        A part without messages goes on: its time begins again.
+        """
         part_s, part_bytes = self._settings.part_s, self._settings.part_bytes
         is_old = part_s is not None and self._has_elapsed(self._part_start_ns, part_s)
+        if is_empty and is_old:
+            self.start_part()
+            return False
         return is_old or (part_bytes is not None and bytes_written >= part_bytes)
 
     def _has_elapsed(self, since_ns: int, limit_s: float) -> bool:

@@ -300,7 +300,7 @@ class PartWriter:
         self._closer.count_finished()
         if self._writer is not None and self._sync_tracker.is_syncing:
             return  # if it fails, the next part takes what was not synced
-        part = self._next_part.take()
+        part = self._next_part.take(self.paths[-1].name)
         if isinstance(part, OpenedPart):
             self._switch_to_part(part)
         elif part is not None:
@@ -379,7 +379,7 @@ class PartWriter:
         if not self._space_check.is_running and schedule.take_space_check():
             self._space_check.start(reserve_bytes)
         can_open = not self._next_part.is_opening and schedule.may_open and not self._closer.is_full
-        if can_open and schedule.is_part_due(writer.bytes_written):
+        if can_open and schedule.is_part_due(writer.bytes_written, self._sync_tracker.is_empty):
             self._begin_part(reserve_bytes)
         if not self._worker.threaded:
             self._collect_jobs()

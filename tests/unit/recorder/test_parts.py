@@ -3,6 +3,7 @@
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 from gyrorig_daemon.recorder import Recorder, RecorderSettings, RecordingPlan
 from gyrorig_daemon.recorder.part_files import part_path
@@ -158,6 +159,48 @@ def test_no_part_is_empty(tmp_path: Path) -> None:
     assert last == tmp_path / "a.mcap"
     assert [path.name for path in tmp_path.iterdir()] == ["a.mcap"]
     assert recorder.paths == (last,)
+
+
+def test_no_part_follows_one_that_does_not_exist(tmp_path: Path) -> None:
+    """A part without messages is deleted, and the next one must not name it."""
+    recorder = opened(tmp_path, RecorderSettings(part_s=10.0))
+    for k in range(100):
+        put(recorder, k)
+    for late in range(100, 350):  # time goes on for longer than a part, and nothing comes
+        recorder.tick(late * SECOND // 10)
+    for k in range(350, 500):
+        put(recorder, k)
+    recorder.close()
+    assert list(recorder.paths) == sorted(tmp_path.iterdir())
+    names = ["", *(path.name for path in recorder.paths[:-1])]
+    parts = [read_recording(path).metadata["gyrorig"] for path in recorder.paths]
+    assert [part["previous"] for part in parts] == names
+    assert len(parts) == 3
+
+
+def test_a_part_that_was_opened_after_a_discarded_one_is_not_used(
+    tmp_path: Path, failing_disk: Any
+) -> None:
+    """The open part fails before its first message is saved, while the next one is opened."""
+    settings = RecorderSettings(part_s=10.0, survives_faults=True)
+    disk = failing_disk()
+    recorder = Recorder(False, settings, disk=disk)
+    recorder.open(RecordingPlan(tmp_path / "a.mcap", METADATA, ()))
+    for k in range(120):
+        put(recorder, k)
+    parts = recorder._part_writer
+    assert parts is not None
+    assert parts._writer is not None
+    assert [path.name for path in parts.paths] == ["a.mcap", "a_p001.mcap"]
+    parts._next_part.open(2, "a_p001.mcap", 0)
+    parts._discard_empty_part(parts._writer)
+    parts._enter_degraded_state("the test says so")
+    for k in range(120, 300):
+        put(recorder, k)
+    recorder.close()
+    names = ["", *(path.name for path in recorder.paths[:-1])]
+    metadata = [read_recording(path).metadata["gyrorig"] for path in recorder.paths]
+    assert [part.get("previous", "") for part in metadata] == names
 
 
 def test_parts_are_sorted_by_number() -> None:
