@@ -13,6 +13,9 @@ FUZZ   ?= fuzz
 SECONDS ?= 180
 LOCKED := $(VENV)/bin/python release/locked_install.py --python $(VENV)/bin/python --editable
 
+# Some containers set this variable. Then each program compiles all its modules again.
+unexport PYTHONDONTWRITEBYTECODE
+
 .DEFAULT_GOAL := help
 .PHONY: help demo test test-long check docs pictures first-steps test-docs test-pages test-packages goldens goldens-update bench hidden fuzz kill test-qemu install-service deb wheels lock third-party clean
 

@@ -1,6 +1,7 @@
 """Where tests find what is not committed: measured data and the contracts."""
 
 import os
+import sys
 from pathlib import Path
 
 import pytest
@@ -11,6 +12,11 @@ ROOT = Path(__file__).resolve().parents[1]
 # Before numpy is loaded, as the commands do: threads of two workers wait for one another.
 for library in ("OPENBLAS", "OMP", "MKL"):
     os.environ.setdefault(f"{library}_NUM_THREADS", "1")
+
+# Some containers set this variable. Then every worker, and each of the several hundred processes
+# that the tests start, compiles the same modules again.
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+sys.dont_write_bytecode = False
 
 # An example's time says how busy a machine is, and nothing of what is tested.
 settings.register_profile(
