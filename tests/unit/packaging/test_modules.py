@@ -6,7 +6,7 @@ where its library is installed, and a module whose names the package exports.
 
 import ast
 from collections import defaultdict
-from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -41,19 +41,16 @@ def product_modules() -> dict[str, Path]:
     }
 
 
-def imported_names(path: Path) -> Iterator[str]:
-    """Yield what a module imports, both as a module and as a name in one."""
+@cache
+def imported_names(path: Path) -> frozenset[str]:
+    """Return what a module imports, both as a module and as a name in one."""
+    names: set[str] = set()
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
         if isinstance(node, ast.Import):
-            yield from (alias.name for alias in node.names)
+            names |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom) and node.module:
-            yield node.module
-            yield from (f"{node.module}.{alias.name}" for alias in node.names)
-
-
-def exported_modules(package: Path) -> set[str]:
-    """Return what a package imports, to offer its names."""
-    return set(imported_names(package))
+            names |= {node.module, *(f"{node.module}.{alias.name}" for alias in node.names)}
+    return frozenset(names)
 
 
 def line_count(path: Path) -> int:
@@ -64,14 +61,14 @@ def test_a_module_with_one_importer_is_in_the_file_of_its_importer() -> None:
     modules = product_modules()
     importers = defaultdict(set)
     for importer, path in modules.items():
-        for name in modules.keys() & set(imported_names(path)):
+        for name in modules.keys() & imported_names(path):
             importers[name].add(importer)
     small = []
     for module, path in modules.items():
         folder = module.rpartition(".")[0]
         if len(importers[module]) != 1 or not {module, folder}.isdisjoint(ALTERNATIVES):
             continue
-        if module in exported_modules(path.with_name("__init__.py")):
+        if module in imported_names(path.with_name("__init__.py")):
             continue
         (importer,) = importers[module]
         is_neighbour = importer.rpartition(".")[0] == folder and path.stem != ENTRY_POINT

@@ -71,7 +71,7 @@ def test_every_python_is_started_by_one_function() -> None:
     """Each use of `sys.executable` in the product is that of `module_command`."""
     places = [
         where(path, node)
-        for path, tree in trees()
+        for path, tree in trees("executable")
         for node in ast.walk(tree)
         if isinstance(node, ast.Attribute) and dotted_name(node) == "sys.executable"
     ]
