@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -61,10 +62,11 @@ def add_version(store: CalibrationStore, calibration: CalibrationDocument, rig: 
     )
 
 
-@pytest.fixture
-def store(tmp_path: Path) -> Path:
+@pytest.fixture(scope="module")
+def written_store(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Three boards; the third version of GY-1 is of a backlog, measured before its second."""
-    store_of_boards = create_store(tmp_path / "store")
+    folder = tmp_path_factory.mktemp("written") / "store"
+    store_of_boards = create_store(folder)
     rows = [
         add_version(store_of_boards, document("GY-1", 1, day=10, solved_day=10), "rig-a"),
         add_version(store_of_boards, document("GY-1", 2, day=13, solved_day=13), "rig-a"),
@@ -78,10 +80,16 @@ def store(tmp_path: Path) -> Path:
         row("bad", status="rejected", board="", reason="no motion", names=["x.mcap"], inputs=["a"]),
         row("worse", status="failed", board="GY-2", reason="slow", names=["y.mcap"], inputs=["b"]),
     ]
-    with RowJournal(Folder(tmp_path / "store"), "night") as journal:
+    with RowJournal(Folder(folder), "night") as journal:
         journal.add(rows)
-    StoreIndex(tmp_path / "store").merge_ended_batches()
-    return tmp_path / "store"
+    StoreIndex(folder).merge_ended_batches()
+    return folder
+
+
+@pytest.fixture
+def store(written_store: Path, tmp_path: Path) -> Path:
+    """A copy of the store, for tests that change it."""
+    return Path(shutil.copytree(written_store, tmp_path / "store"))
 
 
 def output_of(capsys: pytest.CaptureFixture[str], *command: object, code: int = 0) -> str:
