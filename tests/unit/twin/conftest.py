@@ -2,7 +2,6 @@
 
 import json
 import subprocess
-import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,11 +9,13 @@ from typing import Any
 
 import pytest
 import yaml
+from tests.support.commands_in_process import run_command
 
+from gyrorig_daemon.cli import run as run_daemon
 from gyrorig_protocol.twin import Twin, parse_twin
+from gyrorig_solver.cli import run as run_solver
 
 ROOT = Path(__file__).resolve().parents[3]
-BIN = Path(sys.executable).parent
 COMMAND_TIME_S = 5e-3  # of config/rig.yaml
 
 
@@ -34,21 +35,20 @@ class RecordedTwin:
 
 
 def run_gyrorig(*words: str | Path) -> subprocess.CompletedProcess[str]:
-    """Run a command of `gyrorig`."""
-    command = [str(BIN / "gyrorig"), *map(str, words)]
-    return subprocess.run(command, check=False, capture_output=True, text=True)
+    """Run a command of `gyrorig` in this process."""
+    return run_command(run_solver, *map(str, words))
 
 
 def record(
     out: Path, *options: str, program: str = "survey-40", config: Path | None = None
 ) -> tuple[Path, dict[str, Any]]:
     """Record an emulated rig; return the recording and the truth."""
-    command = [BIN / "gyrorigd", "record", "--simulated-time", "--out", out]
-    command += ["--config", config or ROOT / "config" / "rig.yaml"]
-    command += ["--program", ROOT / "config" / "programs" / f"{program}.yaml"]
-    command += ["--truth", out / "truth.yaml", *options]
+    words = ["record", "--simulated-time", "--out", out]
+    words += ["--config", config or ROOT / "config" / "rig.yaml"]
+    words += ["--program", ROOT / "config" / "programs" / f"{program}.yaml"]
+    words += ["--truth", out / "truth.yaml", *options]
     out.mkdir(parents=True, exist_ok=True)
-    subprocess.run([*map(str, command)], check=True, capture_output=True)
+    run_command(run_daemon, *map(str, words)).check_returncode()
     return next(out.glob("*.mcap")), yaml.safe_load((out / "truth.yaml").read_text("utf-8"))
 
 
