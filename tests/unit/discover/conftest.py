@@ -1,15 +1,14 @@
 """Recordings of an emulated rig that hides something; truth and finder share no code."""
 
-import json
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import pytest
-from tests.support.made_once import made_once, shared_folder
+from tests.support.emulated_recordings import record_once
+from tests.support.made_once import shared_folder
 
-from gyrorig_daemon.cli import run
 from gyrorig_protocol.recording.reader import read_recording
 from gyrorig_protocol.recording.recording import Recording
 
@@ -45,22 +44,12 @@ def hidden(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., HiddenReco
     ) -> HiddenRecording:
         key = (*hide, str(seed), program, str(config))
         if key not in made:
-            path = ROOT / "config" / "programs" / f"{program}.yaml"
-            orders = [word for text in hide for word in ("--hide", text)]
-
-            def make(out: Path) -> None:
-                run(
-                    ["record", "--config", str(config), "--program", str(path), "--out", str(out),
-                     "--simulated-time", "--seed", str(seed), "--truth", str(out / "truth.json"),
-                     *orders]
-                )  # fmt: skip
-
-            content: list[str | bytes] = [config.read_bytes(), path.read_bytes(), str(seed), *hide]
-            folder = made_once(shared, ["hidden", *content], make)
-            document = json.loads((folder / "truth.json").read_text())
-            hidden_causes = document.get("hidden") or {"causes": []}
-            recording = read_recording(next(folder.glob("*.mcap")))
-            made[key] = HiddenRecording(recording, hidden_causes["causes"], document["boards"])
+            causes = [word for text in hide for word in ("--hide", text)]
+            session = record_once(shared, program, "--seed", str(seed), *causes, config=config)
+            truth = session.truth
+            hidden_causes = truth.get("hidden") or {"causes": []}
+            recording = read_recording(session.path)
+            made[key] = HiddenRecording(recording, hidden_causes["causes"], truth["boards"])
         return made[key]
 
     return record

@@ -1,7 +1,5 @@
 """Two recordings of an emulated board, rows as a worker makes them, and a bucket in memory."""
 
-import subprocess
-import sys
 import threading
 from collections.abc import Iterator
 from pathlib import Path
@@ -9,11 +7,11 @@ from typing import Any
 
 import fsspec  # type: ignore[import-untyped] # it has no types
 import pytest
+from tests.support.emulated_recordings import record_once
+from tests.support.made_once import shared_folder
 
 from gyrorig_solver.fleet.store import IndexRow
 from gyrorig_solver.storage import bucket as buckets
-
-ROOT = Path(__file__).resolve().parents[3]
 
 
 class OneByOne:
@@ -50,14 +48,9 @@ def memory(monkeypatch: pytest.MonkeyPatch) -> Iterator[OneByOne]:
 @pytest.fixture(scope="session")
 def recorded(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
     """Two sessions of 40 s, of two emulated boards that have one name and one uid each."""
-    folder = tmp_path_factory.mktemp("recorded")
-    for seed in (3, 3):
-        command = [str(Path(sys.executable).with_name("gyrorigd")), "record", "--simulated-time"]
-        command += ["--config", str(ROOT / "config" / "rig.yaml"), "--seed", str(seed)]
-        command += ["--program", str(ROOT / "config" / "programs" / "survey-40.yaml")]
-        out = folder / str(len(list(folder.iterdir())))
-        subprocess.run([*command, "--out", str(out)], check=True, capture_output=True)
-    return sorted(folder.glob("*/*.mcap"))
+    shared = shared_folder(tmp_path_factory)
+    sessions: tuple[tuple[str, ...], ...] = ((), ("--session", "second"))
+    return [record_once(shared, "survey-40", "--seed", "3", *name).path for name in sessions]
 
 
 def row(key: str, board: str = "B", **more: object) -> IndexRow:

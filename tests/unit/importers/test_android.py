@@ -1,14 +1,12 @@
 """Logs of phones: the loggers' shapes, stamps that are no time of day, a clock from the motion."""
 
-import json
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-import yaml
+from tests.support.emulated_recordings import record_once
+from tests.support.made_once import shared_folder
 
 from gyrorig_protocol.errors import InputError, UsageError
 from gyrorig_protocol.identity import BoardId
@@ -20,8 +18,6 @@ from gyrorig_solver.data.samples import load_samples
 from gyrorig_solver.importers import ImportOptions, ImportSummary, import_files
 from gyrorig_solver.importers.phone_clock import GRID_S, find_phone_clock
 from gyrorig_solver.importers.phone_log import read_phone_log
-
-ROOT = Path(__file__).parents[3]
 
 
 def import_phone(
@@ -165,23 +161,14 @@ def test_different_and_periodic_motions_are_rejected() -> None:
 def on_a_unit(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path, dict[str, Any]]:
     """A recording of a unit, the log of a phone on it, and what the emulator hid."""
     folder = tmp_path_factory.mktemp("unit")
-    process = subprocess.run(
-        [
-            *(sys.executable, "-m", "gyrorig_daemon", "record", "--simulated-time", "--json"),
-            *("--config", str(ROOT / "config" / "rig.yaml")),
-            *("--program", str(ROOT / "config" / "programs" / "quick.yaml")),
-            *("--out", str(folder), "--truth", str(folder / "truth.yaml"), "--seed", "4"),
-        ],
-        check=True, capture_output=True, text=True,
-    )  # fmt: skip
-    recording = Path(json.loads(process.stdout)["recording"])
-    samples = load_samples(read_recording(recording), "GY80-1")
+    made = record_once(shared_folder(tmp_path_factory), "quick", "--seed", "4")
+    samples = load_samples(read_recording(made.path), "GY80-1")
     stamp_ns = np.rint((samples.time_s * (1.0 + 4e-5) + 54321.7) * 1e9).astype(np.int64)
     log = folder / "gnss_log.txt"
     with log.open("w") as lines:
         for stamp, rate in zip(stamp_ns.tolist(), samples.rate_rad_s.tolist(), strict=True):
             lines.write(f"UncalGyro,1,{stamp},{rate[0]:.9f},{rate[1]:.9f},{rate[2]:.9f},0,0,0\n")
-    return recording, log, yaml.safe_load((folder / "truth.yaml").read_text())
+    return made.path, log, made.truth
 
 
 @pytest.mark.long

@@ -9,6 +9,8 @@ from pathlib import Path
 
 import pytest
 import yaml
+from tests.support.emulated_recordings import record_once
+from tests.support.made_once import shared_folder
 
 from gyrorig_protocol.documents import finite_values
 from gyrorig_protocol.errors import UsageError
@@ -17,7 +19,6 @@ from gyrorig_solver.calibration import parse_calibration
 from gyrorig_solver.commands.terminal import printable
 from gyrorig_solver.model import find_term
 
-ROOT = Path(__file__).parents[3]
 COMMANDS = ["demo", "import", "check", "solve", "compare", "apply", "export", "report", "plan"]
 Captured = pytest.CaptureFixture[str]
 
@@ -25,27 +26,8 @@ Captured = pytest.CaptureFixture[str]
 @pytest.fixture(scope="session")
 def simulated(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str, int], Path]:
     """Record a program on the emulated rig, faster than time; each kind once."""
-    folder = tmp_path_factory.mktemp("simulated")
-    made: dict[tuple[str, int], Path] = {}
-
-    def record(program: str, seed: int) -> Path:
-        if (program, seed) not in made:
-            out = folder / f"{program}-{seed}"
-            process = subprocess.run(
-                [
-                    *(sys.executable, "-m", "gyrorig_daemon", "record", "--simulated-time"),
-                    *("--config", str(ROOT / "config" / "rig.yaml")),
-                    *("--program", str(ROOT / "config" / "programs" / f"{program}.yaml")),
-                    *("--out", str(out), "--seed", str(seed), "--json"),
-                ],
-                capture_output=True,
-                text=True,
-                check=True,
-            )
-            made[program, seed] = Path(json.loads(process.stdout)["recording"])
-        return made[program, seed]
-
-    return record
+    shared = shared_folder(tmp_path_factory)
+    return lambda program, seed: record_once(shared, program, "--seed", str(seed)).path
 
 
 def test_texts_from_strangers_do_not_steer_the_terminal(capsys: Captured) -> None:

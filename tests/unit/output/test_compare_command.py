@@ -1,12 +1,12 @@
 """`gyrorig compare`: a calibration compared with true values or with another calibration."""
 
 import json
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 import yaml
+from tests.support.emulated_recordings import record_once
+from tests.support.made_once import shared_folder
 
 from gyrorig_solver import cli
 
@@ -19,16 +19,10 @@ Captured = pytest.CaptureFixture[str]
 def session(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with a recording, its true values and two versions of its calibration."""
     folder = tmp_path_factory.mktemp("compare")
-    record = [
-        *(sys.executable, "-m", "gyrorig_daemon", "record", "--simulated-time"),
-        *("--config", str(ROOT / "config" / "rig.yaml")),
-        *("--program", str(ROOT / "config" / "programs" / "quick.yaml")),
-        *("--out", str(folder), "--truth", str(folder / "truth.yaml")),
-    ]
-    subprocess.run(record, check=True, capture_output=True)
-    (recording,) = folder.glob("*.mcap")
+    recording = record_once(shared_folder(tmp_path_factory), "quick")
+    (folder / "truth.yaml").write_bytes(recording.truth_path.read_bytes())
     for _ in range(2):
-        assert cli.run(["solve", str(recording), "--out", str(folder / "calibrations")]) == 0
+        assert cli.run(["solve", str(recording.path), "--out", str(folder / "calibrations")]) == 0
     return folder
 
 

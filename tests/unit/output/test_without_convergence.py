@@ -4,24 +4,19 @@ import json
 from pathlib import Path
 
 import pytest
+from tests.support.emulated_recordings import record_once
+from tests.support.made_once import shared_folder
 
-from gyrorig_daemon.cli import run as run_daemon
 from gyrorig_solver import cli
 from gyrorig_solver.estimate import likelihood_fit
 
-ROOT = Path(__file__).resolve().parents[3]
 Captured = pytest.CaptureFixture[str]
 
 
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory: pytest.TempPathFactory) -> str:
     """Record a short program on the emulated rig."""
-    out = tmp_path_factory.mktemp("recorded")
-    words = ["record", "--simulated-time", "--seed", "3", "--out", str(out)]
-    words += ["--config", str(ROOT / "config" / "rig.yaml")]
-    words += ["--program", str(ROOT / "config" / "programs" / "quick.yaml")]
-    assert run_daemon(words) == 0
-    return str(next(out.glob("*.mcap")))
+    return str(record_once(shared_folder(tmp_path_factory), "quick", "--seed", "3").path)
 
 
 @pytest.fixture

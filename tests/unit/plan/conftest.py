@@ -1,14 +1,12 @@
 """Recordings of programs on the emulated rig, made as a person makes them."""
 
-import json
-import subprocess
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
-import yaml
+from tests.support.emulated_recordings import record_once
+from tests.support.made_once import shared_folder
 
 from gyrorig_protocol.program import MotionProgram, parse_program
 from gyrorig_solver.calibration import find_profile
@@ -46,27 +44,11 @@ def record(tmp_path_factory: pytest.TempPathFactory) -> Record:
 
     Takes the program, a seed and what else to hide.
     """
-    folder = tmp_path_factory.mktemp("recorded")
-    made: dict[tuple[Path, int, tuple[str, ...]], tuple[Path, dict[str, Any]]] = {}
+    shared = shared_folder(tmp_path_factory)
 
     def run(program: Path, seed: int, *hide: str) -> tuple[Path, dict[str, Any]]:
-        if (program, seed, hide) not in made:
-            name = f"{program.stem}-{seed}-{len(made)}"
-            truth = folder / f"{name}.yaml"
-            process = subprocess.run(
-                [
-                    *(sys.executable, "-m", "gyrorig_daemon", "record", "--simulated-time"),
-                    *("--config", str(RIG), "--program", str(program), "--seed", str(seed)),
-                    *("--out", str(folder), "--truth", str(truth), "--json"),
-                    *("--session", name),
-                    *(part for cause in hide for part in ("--hide", cause)),
-                ],
-                capture_output=True,
-                text=True,
-                check=True,
-            )
-            path = Path(json.loads(process.stdout)["recording"])
-            made[program, seed, hide] = path, yaml.safe_load(truth.read_text(encoding="utf-8"))
-        return made[program, seed, hide]
+        causes = [part for cause in hide for part in ("--hide", cause)]
+        made = record_once(shared, program, "--seed", str(seed), *causes)
+        return made.path, made.truth
 
     return run

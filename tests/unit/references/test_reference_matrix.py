@@ -15,6 +15,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from tests.support.emulated_recordings import record_once
+from tests.support.made_once import shared_folder
 from tests.support.reference_recordings import (
     BOARD,
     HandMotion,
@@ -25,12 +27,10 @@ from tests.support.reference_recordings import (
     record_turns,
 )
 
-from gyrorig_daemon.cli import run as run_daemon
 from gyrorig_solver.cli import run
 from gyrorig_solver.data import FloatArray
 from gyrorig_solver.model import FACTOR_NAMES, factorise
 
-ROOT = Path(__file__).resolve().parents[3]
 UNIT_WORDS = re.compile(r"pan-tilt|\bpan\b|\btilts?\b|\bthe unit\b|\bunit's\b|\bthe unit's\b", re.I)
 MAX_SIGMA = 4.5  # of 13 parameters in 12 cells: once in 1000 sets of cells by chance
 GYRO = SimulatedGyro()
@@ -116,24 +116,17 @@ def cells(tmp_path_factory: pytest.TempPathFactory) -> Cells:
         ]
         made.truth[kind] = gain_truth(GYRO.gain, np.array(GYRO.bias_rad_s))
         made.boards[kind] = BOARD
-    _record_unit(made, folder)
+    _record_unit(made, shared_folder(tmp_path_factory))
     return made
 
 
-def _record_unit(made: Cells, folder: Path) -> None:
-    paths = []
-    for seed in (11, 12):
-        out = folder / f"unit-{seed}"
-        out.mkdir()
-        truth = out / "truth.json"
-        run_daemon(
-            ["record", "--config", str(ROOT / "config" / "rig.yaml"), "--program",
-             str(ROOT / "config" / "programs" / "quick.yaml"), "--out", str(out),
-             "--simulated-time", "--seed", "11", "--session-seed", str(seed), "--truth", str(truth)]
-        )  # fmt: skip
-        paths.append(next(out.glob("*.mcap")))
-    made.recordings["unit"] = paths
-    boards = json.loads((folder / "unit-11" / "truth.json").read_text())["boards"]
+def _record_unit(made: Cells, shared: Path) -> None:
+    recorded = [
+        record_once(shared, "quick", "--seed", "11", "--session-seed", seed)
+        for seed in ("11", "12")
+    ]
+    made.recordings["unit"] = [recording.path for recording in recorded]
+    boards = recorded[0].truth["boards"]
     made.boards["unit"] = min(boards)
 
 

@@ -1,6 +1,5 @@
 """The budget of a fit to an emulated session with a hidden cause."""
 
-import json
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
@@ -9,8 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy.stats import norm
+from tests.support.emulated_recordings import record_once
+from tests.support.made_once import shared_folder
 
-from gyrorig_daemon.cli import run
 from gyrorig_protocol.recording.reader import read_recording
 from gyrorig_protocol.recording.recording import Recording
 from gyrorig_solver.data import FloatArray
@@ -41,7 +41,6 @@ from gyrorig_solver.uncertainty.prior_effects import (
 )
 from gyrorig_solver.uncertainty.uncertainty_settings import PriorSize
 
-ROOT = Path(__file__).resolve().parents[3]
 Y = CALIBRATION_PARAMETERS.index("misalignment.y")
 
 
@@ -54,18 +53,13 @@ class Session:
     true_factors: FloatArray  # (9,)
 
 
-def emulate(folder: Path, program: str, *hide: str) -> Session:
+def emulate(shared: Path, program: str, *hide: str) -> Session:
     """Record a program on an emulated rig, and fit the base model."""
-    truth = folder / "truth.json"
-    run(
-        ["record", "--config", str(ROOT / "config" / "rig.yaml"), "--program",
-         str(ROOT / "config" / "programs" / f"{program}.yaml"), "--out", str(folder),
-         "--simulated-time", "--seed", "21", "--truth", str(truth),
-         *(word for cause in hide for word in ("--hide", cause))]
-    )  # fmt: skip
-    recording = read_recording(next(folder.glob("*.mcap")))
+    causes = [word for cause in hide for word in ("--hide", cause)]
+    emulated = record_once(shared, program, "--seed", "21", *causes)
+    recording = read_recording(emulated.path)
     board = str(recording.board_ids[0])
-    gain = np.array(json.loads(truth.read_text())["boards"][board]["STM"])
+    gain = np.array(emulated.truth["boards"][board]["STM"])
     fit = fit_base(load_board([recording], board))
     return Session(recording, fit, np.asarray(factorise(gain).as_vector()))
 
@@ -73,14 +67,14 @@ def emulate(folder: Path, program: str, *hide: str) -> Session:
 @pytest.fixture(scope="module")
 def leaning(tmp_path_factory: pytest.TempPathFactory) -> Session:
     """Axes that are 1.3 mrad from perpendicular; the search does not find it in this motion."""
-    folder = tmp_path_factory.mktemp("leaning")
-    return emulate(folder, "survey-130", "axis_nonorthogonality:0.0013")
+    shared = shared_folder(tmp_path_factory)
+    return emulate(shared, "survey-130", "axis_nonorthogonality:0.0013")
 
 
 @pytest.fixture(scope="module")
 def resting(tmp_path_factory: pytest.TempPathFactory) -> Session:
     """A board that does not turn."""
-    return emulate(tmp_path_factory.mktemp("resting"), "static")
+    return emulate(shared_folder(tmp_path_factory), "static")
 
 
 def only(**sizes: float) -> UncertaintySettings:
