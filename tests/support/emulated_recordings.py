@@ -57,6 +57,6 @@ def record_once(
         if process.returncode:
             raise RuntimeError(process.stderr)
 
-    key = ["recording", config.read_bytes(), path.read_bytes(), *options]
+    key: list[str | bytes] = ["recording", config.read_bytes(), path.read_bytes(), *options]
     folder = made_once(shared, key, make)
     return EmulatedRecording(next(folder.glob("*.mcap")), folder / "truth.yaml")
