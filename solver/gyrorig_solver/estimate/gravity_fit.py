@@ -23,7 +23,13 @@ from gyrorig_solver.estimate.gyro_fit import GravityMoves, GyroFit
 from gyrorig_solver.estimate.information import PARAMETER_NAMES
 from gyrorig_solver.estimate.observability import analyse_observability
 from gyrorig_solver.model import cross_matrix
-from gyrorig_solver.reference import TimeInterval, find_poses, prefix_products, turn_vectors
+from gyrorig_solver.reference import (
+    TimeInterval,
+    find_poses,
+    path_product,
+    prefix_products,
+    turn_vectors,
+)
 from gyrorig_solver.reference.gravity_reference import StaticPoses
 
 MAX_ITERATIONS = 40
@@ -319,14 +325,13 @@ class _GravitySolver:
             float(np.sqrt(np.sum(self._weight * length**2) / degrees_of_freedom)) + 1e-9
         )
 
-    def _integrate_move(self, gain: FloatArray, move: _Move) -> tuple[FloatArray, FloatArray]:
-        """Return the calibrated rate at the samples and the attitude after each step."""
-        rate = move.rate_rad_s @ np.linalg.inv(gain).T
-        return rate, prefix_products(turn_vectors(rate, move.step_s))
-
     def _residuals(self, gain: FloatArray) -> FloatArray:
         """Return measured minus predicted gravity, shape (m, 3)."""
-        ends = [self._integrate_move(gain, move)[1][-1] for move in self._moves]
+        inverse = np.linalg.inv(gain)
+        ends = [
+            path_product(turn_vectors(move.rate_rad_s @ inverse.T, move.step_s))
+            for move in self._moves
+        ]
         return np.array(
             [
                 m.gravity_after - end.T @ m.gravity_before
@@ -339,7 +344,8 @@ class _GravitySolver:
         inverse = np.linalg.inv(gain)
         residuals, jacobians = [], []
         for move in self._moves:
-            rate, attitude = self._integrate_move(gain, move)
+            rate = move.rate_rad_s @ inverse.T
+            attitude = prefix_products(turn_vectors(rate, move.step_s))
             end = attitude[-1]
             predicted = end.T @ move.gravity_before
             # A change dw of the rate over one step rotates the end by P_end' P_k dw dt, and dw =

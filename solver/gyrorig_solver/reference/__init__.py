@@ -15,7 +15,7 @@ from gyrorig_solver.reference.gravity_reference import find_poses
 from gyrorig_solver.reference.known_turns import TimeInterval, TurnReference, read_turns
 from gyrorig_solver.reference.reference_motion import ReferenceMotion
 from gyrorig_solver.reference.rest_reference import RestReference, mostly_at_rest
-from gyrorig_solver.reference.rotations import prefix_products, turn_vectors
+from gyrorig_solver.reference.rotations import path_product, prefix_products, turn_vectors
 from gyrorig_solver.reference.unit.law_information import LawProfile
 from gyrorig_solver.reference.unit.motion_law import LAW_QUANTITIES, LAW_VALUES, MotionLaw
 from gyrorig_solver.reference.unit.motion_profile import MotionLimits, MotionProfile, plan_motion
@@ -46,6 +46,7 @@ __all__ = [
     "TurnReference",
     "find_poses",
     "mostly_at_rest",
+    "path_product",
     "plan_motion",
     "prefix_products",
     "read_attitude",

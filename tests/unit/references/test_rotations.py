@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 from tests.support.rotation_error import total_rotation
 
-from gyrorig_solver.reference import prefix_products, turn_vectors
+from gyrorig_solver.reference import path_product, prefix_products, turn_vectors
 from gyrorig_solver.reference.rotations import integrated_rate, relative_vectors
 
 
@@ -13,6 +13,7 @@ from gyrorig_solver.reference.rotations import integrated_rate, relative_vectors
 def test_products_equal_one_by_one(n: int) -> None:
     vectors = np.random.default_rng(n).normal(size=(2, n, 3))
     prefix = prefix_products(vectors[0])
+    np.testing.assert_allclose(path_product(vectors[0]), prefix[-1], atol=1e-12)
     for path in range(2):
         product = Rotation.identity()
         for k, vector in enumerate(vectors[path]):
