@@ -232,11 +232,13 @@ def record_rest(
 
 
 def _integrate(steps: Rotation, force: FloatArray) -> FloatArray:
-    pose, forces = Rotation.identity(), np.zeros((len(steps), 3))
-    for k, step in enumerate(steps):
-        forces[k] = pose.inv().apply(force)
-        pose = pose * step
-    return forces
+    """Return the force before each step, by a prefix scan of the steps."""
+    poses, shift = steps, 1
+    while shift < len(steps):
+        poses = Rotation.concatenate([poses[:shift], poses[:-shift] * poses[shift:]])
+        shift *= 2
+    before = Rotation.concatenate([Rotation.identity(1), poses[:-1]])
+    return np.asarray(before.inv().apply(force), dtype=np.float64)
 
 
 def _force(attitude: Rotation) -> FloatArray:
