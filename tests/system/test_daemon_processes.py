@@ -14,7 +14,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.support.commands_in_process import run_command
 
+from gyrorig_daemon.cli import run as run_in_process
 from gyrorig_daemon.links.ports.acquisition_hub import AcquisitionHub, PortSettings
 from gyrorig_daemon.links.pump import Pump
 from gyrorig_daemon.motion.directed_perception.ptu_client import PtuClient
@@ -214,7 +216,7 @@ def test_a_silent_unit(tmp_path: Path) -> None:
 def test_documents_that_are_wrong(tmp_path: Path, rig: str, program: str, words: str) -> None:
     arguments = write_inputs(tmp_path, {"ptu": "emulated", "board:B-1": "emulated"}, program)
     (tmp_path / "rig.yaml").write_text(rig)
-    ended = run(*arguments)
+    ended = run_command(run_in_process, *arguments)
     assert ended.returncode == 2
     assert words in ended.stderr
     assert ended.stderr.count("\n") == 1
@@ -232,7 +234,7 @@ def test_documents_that_are_wrong(tmp_path: Path, rig: str, program: str, words:
     ],
 )
 def test_wrong_usage_is_one_line(arguments: list[str], words: str) -> None:
-    ended = run(*arguments)
+    ended = run_command(run_in_process, *arguments)
     assert (ended.returncode, ended.stdout) == (2, "")
     assert words in ended.stderr
     assert ended.stderr.startswith("gyrorigd: ")
@@ -242,7 +244,7 @@ def test_wrong_usage_is_one_line(arguments: list[str], words: str) -> None:
 @pytest.mark.parametrize("name", ["../../x", "", "a\nb", "x" * 300])
 def test_a_session_name_must_be_valid_in_a_file_name(tmp_path: Path, name: str) -> None:
     arguments = write_inputs(tmp_path, {"ptu": "emulated", "board:B-1": "emulated"}, QUICK)
-    ended = run(*arguments, "--simulated-time", "--session", name)
+    ended = run_command(run_in_process, *arguments, "--simulated-time", "--session", name)
     assert (ended.returncode, ended.stderr.count("\n")) == (2, 1)
     assert "the session name" in ended.stderr
     assert not (tmp_path / "out").exists()
@@ -314,7 +316,7 @@ def test_an_internal_error_is_one_line() -> None:
 
 @pytest.mark.parametrize("arguments", [["--help"], ["record", "--help"], ["emulate", "--help"]])
 def test_help_has_an_example(arguments: list[str]) -> None:
-    ended = run(*arguments)
+    ended = run_command(run_in_process, *arguments)
     assert ended.returncode == 0
     assert "Example: gyrorigd" in " ".join(ended.stdout.split())
 
