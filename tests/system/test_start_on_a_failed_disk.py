@@ -11,6 +11,7 @@ from contextlib import suppress
 from pathlib import Path
 
 import pytest
+from tests.support.quick_cases import quick_cases
 from tests.support.served_rig import GYRORIGD, Devices, Service, wait_for
 
 from gyrorig_daemon.emulator.pty_server import raw_now_ns
@@ -55,7 +56,9 @@ def test_a_first_start_on_a_read_only_disk_halts_the_unit(
     wait_for(lambda: not devices.turning(), 10.0)
 
 
-@pytest.mark.parametrize("fault", ["full", "read-only", "read-only without a lock"])
+@pytest.mark.parametrize(
+    "fault", quick_cases(["full", "read-only", "read-only without a lock"], ["full", "read-only"])
+)
 def test_a_start_on_a_failed_disk_halts_the_unit(
     service: Service, devices: Devices, state_disk: Path, fault: str
 ) -> None:

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from tests.support.quick_cases import quick_cases
 from tests.support.simulated_attitudes import HandMotion, StampSettings, simulate_attitudes
 from tests.support.simulated_samples import plain_samples
 
@@ -29,7 +30,7 @@ def reference(stamp_s: FloatArray, orientation_xyzw: FloatArray) -> AttitudeRefe
     return read_attitude(stamp_s, orientation_xyzw, np.full(stamp_s.size, np.nan))
 
 
-@pytest.mark.parametrize("speed", [1.0, 0.1], ids=["fast", "slow"])
+@pytest.mark.parametrize("speed", quick_cases([1.0, 0.1], [0.1]))
 def test_wrong_conventions_are_refused_with_the_right_one(speed: float) -> None:
     samples, stamp_s, q = session(speed, StampSettings(2e-3, "arrival", outlier_share=0.01))
     for wrong, meaning, remedy in (

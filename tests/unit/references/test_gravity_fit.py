@@ -150,11 +150,24 @@ def remapped(
 @pytest.mark.parametrize(
     ("accel_axes", "reason"),
     [
-        (np.diag([1.0, -1.0, 1.0]), "accelerometer are x, -y, z, or"),
-        (np.eye(3)[[1, 0, 2]], "accelerometer are y, x, z, or"),
-        (np.diag([-1.0, 1.0, 1.0])[[0, 2, 1]], "accelerometer are -x, z, y, or"),
+        pytest.param(
+            np.diag([1.0, -1.0, 1.0]),
+            "accelerometer are x, -y, z, or",
+            id="reversed",
+            marks=pytest.mark.long,
+        ),
+        pytest.param(
+            np.eye(3)[[1, 0, 2]],
+            "accelerometer are y, x, z, or",
+            id="swapped",
+            marks=pytest.mark.long,
+        ),
+        pytest.param(
+            np.diag([-1.0, 1.0, 1.0])[[0, 2, 1]],
+            "accelerometer are -x, z, y, or",
+            id="reversed and swapped",
+        ),
     ],
-    ids=["reversed", "swapped", "reversed and swapped"],
 )
 def test_wrong_axes_of_the_accelerometer_are_named(
     samples_of: Maker,

@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from tests.support.quick_cases import quick_cases
 from tests.unit.solver.made import reference_of, samples_of
 
 from gyrorig_solver.estimate import UNIT_REMEDIES, GyroFit, fit_motion
@@ -33,7 +34,7 @@ def truth(rig: Any) -> dict[str, float]:
     return {**named, "time_offset": rig.lag_s + LOW_PASS_DELAY_S}
 
 
-@pytest.mark.parametrize("off_count", [0.0, 0.5])
+@pytest.mark.parametrize("off_count", quick_cases([0.0, 0.5], [0.5]))
 def test_errors_match_the_stated_uncertainty(simulate: Simulate, off_count: float) -> None:
     """Eight boards: joint chi-squared inside its 99.8 % span; no parameter beyond 4 sigma.
 

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from tests.support.quick_cases import quick_cases
 from tests.support.simulated_soaks import (
     CUBIC_DPS,
     Array,
@@ -62,7 +63,7 @@ def test_a_soak_gives_the_cubic_the_lag_and_no_hysteresis() -> None:
     assert result.range_degc == pytest.approx((0.0, 60.0), abs=1.0)
 
 
-@pytest.mark.parametrize("profile", ["up_and_down", "up", "warm_up"])
+@pytest.mark.parametrize("profile", quick_cases(["up_and_down", "up", "warm_up"], ["up"]))
 def test_intervals_contain_the_curve(profile: str) -> None:
     """A small version of tests/bench/bench_temperature.py."""
     inside = []

@@ -85,8 +85,15 @@ def prediction_error_dps(
     return float(np.degrees(np.sqrt(np.mean((residual - residual.mean(axis=0)) ** 2))))
 
 
-@pytest.mark.parametrize("board", [{}, TEXT_BOARD], ids=["numbered", "text"])
-@pytest.mark.parametrize("steps", [MOVES, ZERO_MOVES + MOVES], ids=["moves", "zero moves"])
+@pytest.mark.parametrize(
+    ("steps", "board"),
+    [
+        pytest.param(MOVES, {}, id="moves-numbered", marks=pytest.mark.long),
+        pytest.param(MOVES, TEXT_BOARD, id="moves-text", marks=pytest.mark.long),
+        pytest.param(ZERO_MOVES + MOVES, {}, id="zero moves-numbered", marks=pytest.mark.long),
+        pytest.param(ZERO_MOVES + MOVES, TEXT_BOARD, id="zero moves-text"),
+    ],
+)
 def test_a_session_of_the_same_rig_is_predicted_within_its_noise(
     sessions: Sessions, steps: str, board: dict[str, object]
 ) -> None:
