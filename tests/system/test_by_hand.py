@@ -5,9 +5,12 @@ import sys
 from pathlib import Path
 
 import pytest
+from tests.support.commands_in_process import run_command
 
+from gyrorig_daemon.cli import run as run_daemon
 from gyrorig_protocol.recording.messages import EventKind
 from gyrorig_protocol.recording.reader import read_recording
+from gyrorig_solver.cli import run as run_solver
 
 ROOT = Path(__file__).resolve().parents[2]
 RIG = ROOT / "config" / "manual" / "rig.yaml"
@@ -29,17 +32,17 @@ def run(*words: str) -> subprocess.CompletedProcess[str]:
 
 def test_the_shipped_program_is_guided_and_solved(tmp_path: Path) -> None:
     program = ROOT / "config" / "manual" / "turns.yaml"
-    recorded = run(
-        "gyrorig_daemon", "record", "--config", str(RIG), "--program", str(program),
+    recorded = run_command(
+        run_daemon, "record", "--config", str(RIG), "--program", str(program),
         "--out", str(tmp_path), "--simulated-time", "--truth", str(tmp_path / "truth.yaml"),
     )  # fmt: skip
     assert recorded.returncode == 0, recorded.stderr
     assert recorded.stderr.count("go\n") == 6
     path = recorded.stdout.strip()
-    solved = run("gyrorig_solver", "solve", path, "--out", str(tmp_path / "cal"))
+    solved = run_command(run_solver, "solve", path, "--out", str(tmp_path / "cal"))
     assert solved.returncode in (0, 4), solved.stderr
-    compared = run(
-        "gyrorig_solver", "compare", str(tmp_path / "cal/GY80-1/v0001.yaml"),
+    compared = run_command(
+        run_solver, "compare", str(tmp_path / "cal/GY80-1/v0001.yaml"),
         str(tmp_path / "truth.yaml"),
     )  # fmt: skip
     assert "12 of 12 by at most 3.5 u" in compared.stdout

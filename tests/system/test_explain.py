@@ -150,7 +150,8 @@ def test_a_rig_as_it_should_be_has_no_findings(without_causes: Path, tmp_path: P
 
 def test_what_is_no_recording_is_refused_in_one_line(tmp_path: Path) -> None:
     (tmp_path / "no.mcap").write_bytes(b"not a recording")
-    process = gyrorig("explain", str(tmp_path / "no.mcap"), "--out", str(tmp_path / "out"))
+    words = ("explain", str(tmp_path / "no.mcap"), "--out", str(tmp_path / "out"))
+    process = run_command(run_solver, *words)
     assert process.returncode == 3
     assert len(process.stderr.splitlines()) == 1
     assert not (tmp_path / "out").exists()
