@@ -5,7 +5,7 @@ doctor` says; `texts` for all strings of more than a word, these among them.
 """
 
 import ast
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from functools import cache
 from pathlib import Path
 from typing import NamedTuple
@@ -27,21 +27,60 @@ class UserText(NamedTuple):
 
 def errors() -> Iterator[UserText]:
     """Yield every error of the tree that is made in the product."""
-    for path, nodes in _nodes():
-        for node in nodes:
-            if isinstance(node, ast.Call) and _name(node.func) in ERRORS and node.args:
-                remedy = rendered(node.args[1]) if len(node.args) > 1 else None
-                yield UserText(_place(path, node), _name(node.func), rendered(node.args[0]), remedy)
+    for module in _modules():
+        yield from module.errors
 
 
 def findings() -> Iterator[UserText]:
     """Yield every finding of the doctor: subject, code, what, remedy."""
-    for path, tree in trees():
-        if "/doctor/" not in path:
-            continue
-        for function in ast.walk(tree):
-            if isinstance(function, ast.FunctionDef):
-                yield from _findings_of(path, function)
+    for module in _modules():
+        yield from module.findings
+
+
+def texts() -> Iterator[UserText]:
+    """Yield every string of more than a word that is no docstring."""
+    for module in _modules():
+        yield from module.texts
+
+
+class _ModuleTexts(NamedTuple):
+    errors: tuple[UserText, ...]
+    findings: tuple[UserText, ...]
+    texts: tuple[UserText, ...]
+
+
+@cache
+def _modules() -> tuple[_ModuleTexts, ...]:
+    """Return the texts of each module of the product.
+
+    The syntax trees are not kept: a million nodes would slow every later garbage collection.
+    """
+    return tuple(
+        _texts_of_module(path) for part in PARTS for path in sorted((ROOT / part).rglob("*.py"))
+    )
+
+
+def _texts_of_module(path: Path) -> _ModuleTexts:
+    place = path.relative_to(ROOT).as_posix()
+    nodes = tuple(ast.walk(ast.parse(path.read_text(encoding="utf-8"))))  # breadth first
+    functions = [node for node in nodes if isinstance(node, ast.FunctionDef)]
+    return _ModuleTexts(
+        tuple(_errors_of(place, nodes)),
+        tuple(
+            finding
+            for function in functions
+            if "/doctor/" in place
+            for finding in _findings_of(place, function)
+        ),
+        tuple(_texts_of(place, nodes)),
+    )
+
+
+def _errors_of(path: str, nodes: Sequence[ast.AST]) -> Iterator[UserText]:
+    for node in nodes:
+        if isinstance(node, ast.Call) and _name(node.func) in ERRORS and node.args:
+            remedy = rendered(node.args[1]) if len(node.args) > 1 else None
+            yield UserText(_place(path, node), _name(node.func), rendered(node.args[0]), remedy)
 
 
 def _findings_of(path: str, function: ast.FunctionDef) -> Iterator[UserText]:
@@ -69,42 +108,24 @@ def _filled(text: str, local_texts: dict[str, str]) -> str:
     return text
 
 
-def texts() -> Iterator[UserText]:
-    """Yield every string of more than a word that is no docstring."""
-    for path, nodes in _nodes():
-        docstrings = {
-            id(body[0].value)
-            for body in (getattr(node, "body", None) for node in nodes)
-            if isinstance(body, list) and body and isinstance(body[0], ast.Expr)
-        }
-        inside: set[int] = set()
-        for node in nodes:
-            if id(node) in docstrings or id(node) in inside:
-                continue
-            if isinstance(node, ast.JoinedStr):
-                inside |= {id(part) for part in ast.walk(node)}
-            if not isinstance(node, ast.JoinedStr | ast.Constant):
-                continue
-            if isinstance(node, ast.Constant) and not isinstance(node.value, str):
-                continue
-            if " " in (text := rendered(node)).strip():
-                yield UserText(_place(path, node), "text", text)
-
-
-@cache
-def trees() -> tuple[tuple[str, ast.Module], ...]:
-    """Return the product's modules by their paths."""
-    return tuple(
-        (path.relative_to(ROOT).as_posix(), ast.parse(path.read_text(encoding="utf-8")))
-        for part in PARTS
-        for path in sorted((ROOT / part).rglob("*.py"))
-    )
-
-
-@cache
-def _nodes() -> tuple[tuple[str, tuple[ast.AST, ...]], ...]:
-    """Return the nodes of each module, breadth first."""
-    return tuple((path, tuple(ast.walk(tree))) for path, tree in trees())
+def _texts_of(path: str, nodes: Sequence[ast.AST]) -> Iterator[UserText]:
+    docstrings = {
+        id(body[0].value)
+        for body in (getattr(node, "body", None) for node in nodes)
+        if isinstance(body, list) and body and isinstance(body[0], ast.Expr)
+    }
+    inside: set[int] = set()
+    for node in nodes:
+        if id(node) in docstrings or id(node) in inside:
+            continue
+        if isinstance(node, ast.JoinedStr):
+            inside |= {id(part) for part in ast.walk(node)}
+        if not isinstance(node, ast.JoinedStr | ast.Constant):
+            continue
+        if isinstance(node, ast.Constant) and not isinstance(node.value, str):
+            continue
+        if " " in (text := rendered(node)).strip():
+            yield UserText(_place(path, node), "text", text)
 
 
 def rendered(node: ast.expr) -> str:

@@ -5,7 +5,6 @@ through is named here with its reason.
 """
 
 import ast
-import functools
 import unicodedata
 from collections.abc import Iterator
 from pathlib import Path
@@ -33,15 +32,10 @@ NETWORK_ALLOWED = {"multicast_line.py", "pty_server.py"}
 def trees(*words: str) -> Iterator[tuple[Path, ast.AST]]:
     """Yield the product's modules that contain one of the words; only these are parsed."""
     for path in PRODUCT:
-        # Python compares names in this normal form.
-        text = unicodedata.normalize("NFKC", path.read_text(encoding="utf-8"))
-        if any(word in text for word in words):
-            yield path, parsed(path)
-
-
-@functools.cache
-def parsed(path: Path) -> ast.AST:
-    return ast.parse(path.read_text(encoding="utf-8"))
+        text = path.read_text(encoding="utf-8")
+        normal_text = unicodedata.normalize("NFKC", text)  # Python compares names in this form
+        if any(word in normal_text for word in words):
+            yield path, ast.parse(text)
 
 
 def dotted_name(node: ast.expr) -> str:
