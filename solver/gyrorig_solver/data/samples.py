@@ -33,6 +33,7 @@ from gyrorig_solver.data.clocks.shared_time_base import ClockExchanges
 from gyrorig_solver.data.clocks.tick_unwrapping import PIECE_SAMPLES
 from gyrorig_solver.data.count_columns import CountArray, CountColumn, PhysicalField, stored_column
 from gyrorig_solver.data.metadata_numbers import positive_number
+from gyrorig_solver.data.pauses import count_pauses
 
 UNUSABLE_STATUS = int(ImuStatus.SATURATED | ImuStatus.REPEATED)
 _MIN_PERIOD_S, _MAX_PERIOD_S = 1e-6, 1e4  # of the samples of any gyroscope
@@ -55,7 +56,7 @@ class GyroSamples:
     time_s: FloatArray  # (n,), not decreasing inside a segment
     host_s: PhysicalField[FloatArray] = PhysicalField()  # noqa: RUF009 - a descriptor; (n,), arrival
     number: CounterArray  # (n,), sample count since the first of the segment, with gaps
-    segment: IntArray  # (n,), counts restarts of the board and clock steps
+    segment: IntArray  # (n,), counts restarts of the board, clock steps and pauses of a log
     # (n, 3), counts times nominal scale, sensor frame
     rate_rad_s: PhysicalField[FloatArray] = PhysicalField()  # noqa: RUF009
     usable: BoolArray  # (n,), False if saturated or repeated
@@ -163,7 +164,7 @@ def load_samples(recording: Recording, board: str) -> GyroSamples:
         )
     origin_ns = int(raw.host_time_ns[0])
     host_s = _seconds_in_place(raw.host_time_ns, origin_ns)
-    # an imported recording counts the rows of its source, whose number has no wraps
+    # the sample counter of an imported recording has no wraps
     sequence_bits = 32 if metadata.get("link") == "file" else None
     counts_samples = has_shared_times(raw.device_time, raw.sequence)
     pings = None if counts_samples else _read_pings(recording, board, origin_ns)
@@ -173,6 +174,9 @@ def load_samples(recording: Recording, board: str) -> GyroSamples:
         if counts_samples
         else _map_board_clock(raw.device_time, host_s, raw.sequence, metadata, sequence_bits)
     )
+    if sequence_bits is not None:
+        segment = count_pauses(clock.time_s, raw.sequence, clock.segment)
+        clock = replace(clock, segment=segment)
     latency_bounds = _read_latency_bounds(pings, nearest_samples, clock, metadata)
     numbering = number_samples(
         raw.sequence, clock.time_s, clock.segment, sequence_bits=sequence_bits, overwrite=True

@@ -99,6 +99,7 @@ class UnitRecording:
             host_time_ns=host_ns[keep],
             device_time=imu.device_time[keep],
             row=imu.row[keep],
+            number=imu.number[keep],
             time_s=imu.time_s[keep],
             status=imu.status[keep],
             temperature=imu.temperature[keep],

@@ -6,14 +6,12 @@ import numpy as np
 
 from gyrorig_protocol.errors import InputError
 from gyrorig_solver.data import FloatArray, IntArray
+from gyrorig_solver.data.pauses import longest_gap_s
 from gyrorig_solver.importers.map_keys import TimeBase
 from gyrorig_solver.importers.measurement_columns import MeasurementColumns
 
 UNIT_S = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 MAX_DISORDER_S = 0.1  # of the stamps of attitudes, far above the jitter of a link
-# A longer step of the times, in sample periods and in s, is reported.
-MAX_STEP_PERIODS = 100.0
-MAX_STEP_S = 1.0
 MAX_TIME_S = 2**31 - 1  # builtin_interfaces/Time counts seconds in an int32
 
 
@@ -95,7 +93,7 @@ def describe_jump(time_s: FloatArray, period_s: float, board: str) -> list[str]:
         board: the name of the board.
     """
     step_s = np.diff(time_s)
-    jumps = int(np.count_nonzero(step_s > max(MAX_STEP_PERIODS * period_s, MAX_STEP_S)))
+    jumps = int(np.count_nonzero(step_s > longest_gap_s(period_s)))
     if not jumps:
         return []
     at = int(np.argmax(step_s))

@@ -314,7 +314,7 @@ def _write_recording(
                 host_time_ns=imu.host_time_ns[part],
                 publish_time_ns=None,
                 device_time=imu.device_time[part],
-                sequence=imu.row[part] & 0xFFFFFFFF,
+                sequence=imu.number[part] & 0xFFFFFFFF,
                 status=imu.status[part],
                 temperature=imu.temperature[part],
                 gyro=imu.gyro[part],

@@ -22,9 +22,10 @@ StampKind = Literal["sampled", "arrival"]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GyroStream:
-    """The rates of one sensor, a row per sample; a row that is not finite is a lost sample.
+    """The rates of one sensor; a row that is not finite is no sample.
 
-    With `stamp` "arrival" the sample number is the clock of the sensor.
+    With `stamp` "arrival" the sample number is the clock of the sensor. Without a counter of the
+    source, the numbers of sampled rows are those of their times, and those of arrivals the rows.
     """
 
     time_s: FloatArray  # (n,), increasing; arrival times can repeat
@@ -32,7 +33,7 @@ class GyroStream:
     scale_rad_s: float | None = None  # nominal scale of a count
     stamp: StampKind = "sampled"
     rate_hz: float | None = None  # nominal sample rate, if the source gives it
-    number: IntArray | None = None  # (n,), sample counter of the source; None: the row number
+    number: IntArray | None = None  # (n,), sample counter of the source, if it has one
 
 
 @dataclass(frozen=True, slots=True, eq=False)

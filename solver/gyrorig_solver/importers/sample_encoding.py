@@ -24,6 +24,7 @@ from gyrorig_solver.importers.measured_streams import (
     MeasuredBoard,
     TemperatureStream,
 )
+from gyrorig_solver.importers.sample_numbers import SampleNumbers, number_sampled_rows
 
 # Physical units become int32 counts with a scale far below the resolution of any sensor.
 GYRO_COUNT_RAD_S = 1e-7
@@ -41,7 +42,8 @@ class ImuStream:
 
     host_time_ns: IntArray  # (n,)
     device_time: IntArray  # (n,), ticks
-    row: IntArray  # (n,), row or sample number in the source, used as the sample counter
+    row: IntArray  # (n,), row in the source, from 0
+    number: IntArray  # (n,), sample counter
     time_s: FloatArray  # (n,), time in the source
     status: IntArray  # (n,)
     temperature: IntArray  # (n,)
@@ -78,9 +80,15 @@ def encode_samples(board: MeasuredBoard, origin_ns: int) -> ImuStream:
     row = np.flatnonzero(is_finite)
     status = np.zeros(row.size, dtype=np.int64)
     metadata = {"uid": "unknown", "link": "file"} | board.metadata
-    number = row if gyro.number is None else gyro.number[row]
-    times = GyroTimes(gyro.time_s, row, _sample_period_s(gyro, row, number))
+    numbers = _sample_numbers(gyro, row)
+    number = numbers.number
+    times = GyroTimes(gyro.time_s, row, numbers.period_s)
     notes += describe_jump(gyro.time_s, times.period_s, board.name)
+    if not numbers.has_constant_rate:
+        notes.append(
+            f"{board.name}: the times of the rows show no constant sample rate, so a missing row "
+            "cannot be recognised, and the sample rate is the mean rate of the rows"
+        )
     metadata["gyro_scale_rad_s"] = repr(gyro.scale_rad_s or GYRO_COUNT_RAD_S)
     accel = None
     if board.accel:
@@ -99,7 +107,8 @@ def encode_samples(board: MeasuredBoard, origin_ns: int) -> ImuStream:
     return ImuStream(
         host_time_ns=origin_ns + nanoseconds(gyro.time_s[row]),
         device_time=device_time,
-        row=number.astype(np.int64),
+        row=row,
+        number=number.astype(np.int64),
         time_s=gyro.time_s[row],
         status=status,
         temperature=temperature,
@@ -132,11 +141,18 @@ def _arrival_rate_hz(gyro: GyroStream, row: IntArray, number: IntArray) -> float
     return float(number[-1] - number[0]) / span_s
 
 
-def _sample_period_s(gyro: GyroStream, row: IntArray, number: IntArray) -> float:
-    """Return the sample period; the steps of arrival times do not show it, for many can be 0."""
+def _sample_numbers(gyro: GyroStream, row: IntArray) -> SampleNumbers:
+    """Return the sample numbers and the period.
+
+    The steps of arrival times do not show the period, for many can be 0.
+    """
+    number = row if gyro.number is None else gyro.number[row]
     if gyro.stamp == "arrival":
-        return 1.0 / _arrival_rate_hz(gyro, row, number)
-    return float(np.median(np.diff(gyro.time_s)))
+        return SampleNumbers(number, 1.0 / _arrival_rate_hz(gyro, row, number))
+    if gyro.number is None:
+        return number_sampled_rows(gyro.time_s, row)
+    step_s = np.diff(gyro.time_s[row]) / np.maximum(np.diff(number), 1)
+    return SampleNumbers(number, float(np.median(step_s)))
 
 
 def _gyro_counts(gyro: GyroStream, row: IntArray) -> IntArray:

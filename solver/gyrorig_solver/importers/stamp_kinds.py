@@ -45,7 +45,7 @@ def choose_stamp_kind(
     return find_stamp_kind(stamp_ns, log_ns)
 
 
-def count_rows(arrival_s: FloatArray) -> IntArray:
+def count_rows(arrival_s: FloatArray, least_neighbours: int = 1) -> IntArray:
     """Return the sample numbers of samples by their arrival, shape (n,), from 0.
 
     A late sample is followed by early ones. After a lost sample all later ones come later: at
@@ -53,6 +53,8 @@ def count_rows(arrival_s: FloatArray) -> IntArray:
 
     Args:
         arrival_s: arrival times, shape (n,), not decreasing.
+        least_neighbours: samples on each side of a gap with which it is compared; a gap closer to
+            the begin or the end loses no sample.
     """
     count = arrival_s.size
     rows = np.arange(count, dtype=np.int64)
@@ -61,11 +63,15 @@ def count_rows(arrival_s: FloatArray) -> IntArray:
     # over many samples jitter has little weight, and few of the stretches lose samples
     span = 2 * NEIGHBOURS
     period_s = float(np.median((arrival_s[span:] - arrival_s[:-span]) / span))
-    for gap in np.flatnonzero(np.diff(arrival_s) > GAP_STEPS * period_s).tolist():
-        before = slice(max(0, gap + 1 - NEIGHBOURS), gap + 1)
-        after = slice(gap + 1, gap + 1 + NEIGHBOURS)
-        delay_s = arrival_s - period_s * rows
-        lost = round(float(np.min(delay_s[after]) - np.min(delay_s[before])) / period_s)
-        if lost > 0:
-            rows[gap + 1 :] += lost
+    gaps = np.flatnonzero(np.diff(arrival_s) > GAP_STEPS * period_s) + 1
+    begin, total = 0, 0
+    for gap in gaps[(gaps >= least_neighbours) & (gaps <= count - least_neighbours)].tolist():
+        if total:
+            rows[begin:gap] += total
+        begin = gap
+        before, after = slice(max(0, gap - NEIGHBOURS), gap), slice(gap, gap + NEIGHBOURS)
+        delay_s = (arrival_s[after] - period_s * rows[after]).min() - period_s * total
+        delay_s -= (arrival_s[before] - period_s * rows[before]).min()
+        total += max(0, round(float(delay_s) / period_s))
+    rows[begin:] += total
     return rows
