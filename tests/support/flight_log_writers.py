@@ -28,6 +28,7 @@ ULOG_FORMATS = {
     "vehicle_mocap_odometry": "uint64_t timestamp;uint64_t timestamp_sample;float[3] position;"
     "float[4] q;",
     "battery_status": "uint64_t timestamp;float voltage_v;",
+    "sensor_selection": "uint64_t timestamp;uint32_t accel_device_id;uint32_t gyro_device_id;",
 }
 
 
@@ -57,16 +58,24 @@ def write_ulog(
     session: HandheldSession,
     names: Sequence[str] = ("sensor_gyro", "sensor_accel", "vehicle_attitude"),
     slow: Sequence[str] = (),
+    device_ids: Sequence[int] = (2490378,),
+    selected_ids: Sequence[int] = (2490378,),
 ) -> Path:
-    """Write a log of PX4 with these topics; those in `slow` have only one row per second."""
+    """Write a log of PX4 with these topics; those in `slow` have only one row per second.
+
+    Args:
+        folder: of the log.
+        session: the readings.
+        names: the topics, "topic#2" for instance 2.
+        slow: topics with one row per second.
+        device_ids: of the instances of sensor_gyro, the last one also for later instances.
+        selected_ids: of sensor_selection, in turn.
+    """
     stamps = [5_000_000 + round(1e6 * value) for value in session.time_s.tolist()]
     rate, accel = session.rate_rad_s.tolist(), session.accel_m_s2.tolist()
     w = session.orientation_xyzw[:, [3, 0, 1, 2]].tolist()
     degc = session.temperature_degc.tolist()
     rows: dict[str, Callable[[int], bytes]] = {
-        "sensor_gyro": lambda k: struct.pack(
-            "<QQI3ffI4B", stamps[k] + 300, stamps[k], 2490378, *rate[k], degc[k], 0, 0, 0, 0, 1
-        ),
         "sensor_accel": lambda k: struct.pack(
             "<QQI3ffI4B", stamps[k] + 310, stamps[k], 2490379, *accel[k], degc[k], 0, 0, 0, 0, 1
         ),
@@ -82,10 +91,20 @@ def write_ulog(
             "<QQ3f4f", stamps[k], stamps[k], 0.0, 0.0, 0.0, *w[k]
         ),
         "battery_status": lambda k: struct.pack("<Qf", stamps[k], 16.0),
+        "sensor_selection": lambda k: struct.pack(
+            "<QII", stamps[k], 2490379, selected_ids[k % len(selected_ids)]
+        ),
     }  # fmt: skip
+
+    def gyro_row(device_id: int) -> Callable[[int], bytes]:
+        return lambda k: struct.pack(
+            "<QQI3ffI4B", stamps[k] + 300, stamps[k], device_id, *rate[k], degc[k], 0, 0, 0, 0, 1
+        )
+
     topics: list[tuple[str, int, Callable[[int], bytes], int]] = []
     for name in names:
         base, _, instance = name.partition("#")
+        rows["sensor_gyro"] = gyro_row(device_ids[min(int(instance or 0), len(device_ids) - 1)])
         if base in slow:
             every = len(stamps) // 100
             topics.append((base, int(instance or 0), _every_hundredth(rows[base]), every))

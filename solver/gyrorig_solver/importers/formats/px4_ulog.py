@@ -3,8 +3,12 @@
 Source: PX4, "ULog file format", and msg/SensorGyro.msg (x, y, z in rad/s,
 temperature), VehicleImu.msg (delta_angle in rad over delta_angle_dt in us), SensorCombined.msg
 (gyro_rad), SensorAccel.msg, VehicleOdometry.msg (q: w, x, y, z, body to world). `timestamp_sample`
-and `timestamp` are in us since the start. vehicle_attitude comes from the filter EKF2, which uses
-the same gyroscopes. vehicle_mocap_odometry and vehicle_visual_odometry come from outside.
+and `timestamp` are in us since the start. The rates of vehicle_imu and sensor_combined are in the
+body frame, offset-compensated by PX4 where possible (VehicleImu.msg, SensorCombined.msg).
+sensor_combined is that of the gyroscope which sensor_selection names ("Sensor ID's for the voted
+sensors output on the sensor_combined topic", SensorSelection.msg). vehicle_attitude comes from the
+filter EKF2, which uses the same gyroscopes. vehicle_mocap_odometry and vehicle_visual_odometry come
+from outside.
 """
 
 import contextlib
@@ -18,7 +22,6 @@ from typing import Any
 import numpy as np
 
 from gyrorig_protocol.errors import InputError
-from gyrorig_solver.data import FloatArray
 from gyrorig_solver.importers.flight_boards import RateSource, choose_source, name_boards
 from gyrorig_solver.importers.measured_streams import (
     AccelStream,
@@ -34,17 +37,24 @@ from gyrorig_solver.importers.measurement_format import (
     ImportOptions,
     read_head,
 )
+from gyrorig_solver.importers.px4_gyroscopes import (
+    GYROS,
+    SELECTION,
+    Px4Gyroscope,
+    Topic,
+    processing_notes,
+    rate_sources,
+    time_s_of,
+    triple,
+)
 
 MAGIC = b"\x55\x4c\x6f\x67\x01\x12\x35"
 MAX_BYTES = 4_000_000_000
 MAX_FIELDS = 5_000  # of one topic, with those of nested types; PX4 has up to a few hundred
 _MAX_UNKNOWN_BYTES = 10_000  # of a message of an unknown type that pyulog skips
-_GYROS = ("sensor_gyro", "vehicle_imu", "sensor_combined")
 _OUTSIDE_ATTITUDES = ("vehicle_mocap_odometry", "vehicle_visual_odometry")
 _OWN_ATTITUDE = "vehicle_attitude"
 _ACCEL = "sensor_accel"
-
-Topic = tuple[int, dict[str, Any]]  # instance, columns by the names of the fields
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,15 +72,16 @@ class Px4Ulog:
 
     def read(self, source: Path, options: ImportOptions) -> MeasuredStreams:
         """Return one board per gyroscope; `--topic vehicle_attitude` uses PX4's attitude."""
-        options.check_topics((*_GYROS, _OWN_ATTITUDE, *_OUTSIDE_ATTITUDES))
+        options.check_topics((*GYROS, _OWN_ATTITUDE, *_OUTSIDE_ATTITUDES))
         notes: list[str] = []
         topics = _read_topics(source, notes)
         wanted = frozenset(options.topics)
         boards = []
-        for number, sources in sorted(_rate_sources(topics, wanted).items()):
-            chosen = choose_source(sources, notes, f"gyroscope {number}")
+        for gyroscope in rate_sources(topics, wanted, notes):
+            chosen = choose_source(gyroscope.sources, notes, f"gyroscope {gyroscope.name}")
             if chosen is not None:
-                boards.append(_board(number, chosen, topics, options))
+                notes += processing_notes(gyroscope.name, chosen.name)
+                boards.append(_board(gyroscope, chosen, topics, options))
         if not boards:
             listed = ", ".join(sorted(topics))[:200] or "no data"
             raise InputError(
@@ -96,7 +107,7 @@ def _read_topics(source: Path, notes: list[str]) -> dict[str, list[Topic]]:
     _check_definitions(source)
     from pyulog import ULog  # type: ignore[import-untyped] # noqa: PLC0415 - of the extra
 
-    names = [*_GYROS, *_OUTSIDE_ATTITUDES, _OWN_ATTITUDE, _ACCEL]
+    names = [*GYROS, SELECTION, *_OUTSIDE_ATTITUDES, _OWN_ATTITUDE, _ACCEL]
     try:
         with source.open("rb") as file, contextlib.redirect_stdout(io.StringIO()):
             log = ULog(file, names)  # prints warnings
@@ -187,73 +198,37 @@ def _field_count(
     return known[name]
 
 
-def _time_s(columns: dict[str, Any]) -> FloatArray:
-    sampled = columns.get("timestamp_sample")
-    is_used = sampled is not None and np.any(sampled)
-    return np.asarray(sampled if is_used else columns["timestamp"], dtype=np.float64) * 1e-6
-
-
-def _triple(columns: dict[str, Any], names: tuple[str, str, str]) -> FloatArray | None:
-    if any(name not in columns for name in names):
-        return None
-    with np.errstate(invalid="ignore"):  # of a nan that is signalling
-        return np.stack([np.asarray(columns[name], dtype=np.float64) for name in names], axis=1)
-
-
-def _rates(name: str, columns: dict[str, Any]) -> FloatArray | None:
-    """Return the rates of a message in rad/s."""
-    if name == "sensor_gyro":
-        return _triple(columns, ("x", "y", "z"))
-    if name == "sensor_combined":
-        return _triple(columns, ("gyro_rad[0]", "gyro_rad[1]", "gyro_rad[2]"))
-    angle = _triple(columns, ("delta_angle[0]", "delta_angle[1]", "delta_angle[2]"))
-    step_us = columns.get("delta_angle_dt")
-    if angle is None or step_us is None:
-        return None
-    with np.errstate(divide="ignore", invalid="ignore"):
-        return np.asarray(angle / (np.asarray(step_us, np.float64)[:, None] * 1e-6))
-
-
-def _rate_sources(
-    topics: dict[str, list[Topic]], wanted: frozenset[str]
-) -> dict[int, list[RateSource]]:
-    """Return the rates of each gyroscope, the least processed first."""
-    gyros = [name for name in _GYROS if name in wanted] or list(_GYROS)
-    sources: dict[int, list[RateSource]] = {}
-    for name in gyros:
-        for number, columns in topics.get(name, []):
-            rates = _rates(name, columns)
-            if rates is not None:
-                sources.setdefault(number, []).append(RateSource(name, _time_s(columns), rates))
-    return sources
-
-
-def _instance(topics: dict[str, list[Topic]], name: str, number: int) -> dict[str, Any] | None:
+def _instance(
+    topics: dict[str, list[Topic]], name: str, number: int | None
+) -> dict[str, Any] | None:
     return next((columns for multi, columns in topics.get(name, []) if multi == number), None)
 
 
 def _board(
-    number: int, chosen: RateSource, topics: dict[str, list[Topic]], options: ImportOptions
+    gyroscope: Px4Gyroscope,
+    chosen: RateSource,
+    topics: dict[str, list[Topic]],
+    options: ImportOptions,
 ) -> MeasuredBoard:
-    gyro = _instance(topics, "sensor_gyro", number) or {}
+    instance = gyroscope.instance
+    gyro = _instance(topics, "sensor_gyro", instance) or {}
     metadata = {"sensor": options.sensor or "unknown", "model": "PX4"}
-    device = next((gyro[key] for key in ("device_id",) if key in gyro), None)
-    if device is not None and device.size:
-        metadata["uid"] = str(int(device[0]))
+    if gyroscope.device_id:
+        metadata["uid"] = str(gyroscope.device_id)
     accel = None
-    raw = _instance(topics, _ACCEL, number)
+    raw = _instance(topics, _ACCEL, instance)
     if raw is not None:
-        values = _triple(raw, ("x", "y", "z"))
-        accel = values if values is None else RateSource(_ACCEL, _time_s(raw), values).in_order()
+        values = triple(raw, ("x", "y", "z"))
+        accel = values if values is None else RateSource(_ACCEL, time_s_of(raw), values).in_order()
     temperature = None
     if "temperature" in gyro:
-        time_s, first = np.unique(_time_s(gyro), return_index=True)
+        time_s, first = np.unique(time_s_of(gyro), return_index=True)
         with np.errstate(invalid="ignore"):
             degc = np.asarray(gyro["temperature"], dtype=np.float64)[first]
         if np.any(np.isfinite(degc)) and time_s.size > 1:
             temperature = TemperatureStream(degc, time_s)
     return MeasuredBoard(
-        str(number),
+        gyroscope.name,
         GyroStream(chosen.time_s, chosen.rate_rad_s),
         None if accel is None else AccelStream(accel.rate_rad_s, accel.time_s),
         temperature,
@@ -283,7 +258,7 @@ def _poses(
         values = np.stack(
             [np.asarray(columns[f"q[{index}]"], dtype=np.float64) for index in (1, 2, 3, 0)], axis=1
         )
-    poses = PoseStream.of_rows(_time_s(columns), values)
+    poses = PoseStream.of_rows(time_s_of(columns), values)
     if not poses.time_s.size:
         notes.append(f"{name} has no valid attitude")
         return None
