@@ -27,8 +27,8 @@ import numpy as np
 from gyrorig_protocol.errors import InputError
 from gyrorig_solver.data import FloatArray, IntArray
 from gyrorig_solver.data.text_table import check_text_table
+from gyrorig_solver.importers.header_units import accel_factor, rate_factor
 from gyrorig_solver.importers.import_times import order_by_time
-from gyrorig_solver.importers.measured_streams import STANDARD_GRAVITY_M_S2
 from gyrorig_solver.importers.measurement_columns import open_columns
 from gyrorig_solver.importers.text_columns import MAX_ROWS
 
@@ -216,7 +216,8 @@ def _read_table(
     time = _time_column(names)
     gyro = _axis_columns(names, r"gyr|omega|angular|rotation ?rate|^w|^g(?=[ _]?[xyz]\b)")
     if gyro is None and re.search(r"gyr", path.stem, re.IGNORECASE):
-        gyro = _axis_columns(names, r"^")  # one file per sensor, with the columns x, y, z
+        # one file per sensor, with the columns x, y, z
+        gyro = _axis_columns(names, r"^(?!.*(?:acc|mag))")
     if time is None or gyro is None:
         raise InputError(
             f"the phone's log {path.name} has no columns for the time and the gyroscope's x, "
@@ -230,14 +231,10 @@ def _read_table(
     columns = open_columns(path, [time, *gyro, *(accel or ())])
     stamps = columns.matrix([time], 1)[:, 0]
     stamp_ns = _stamps_in_ns(stamps, time, path.name)
-    rates = columns.matrix(gyro, 3)
-    if re.search(r"deg|°|\bdps", "".join(gyro)):
-        rates = np.radians(rates)
+    rates = rate_factor(gyro, notes) * columns.matrix(gyro, 3)
     accel_pair = None
     if accel is not None:
-        in_g = re.search(r"[\[(]\s*g\s*[\])]", "".join(accel), re.IGNORECASE)
-        unit = STANDARD_GRAVITY_M_S2 if in_g else 1.0
-        accel_pair = (stamp_ns, unit * columns.matrix(accel, 3))
+        accel_pair = (stamp_ns, accel_factor(accel, notes) * columns.matrix(accel, 3))
     return "a table", (stamp_ns, rates), accel_pair
 
 
@@ -253,6 +250,11 @@ def _time_column(names: Sequence[str]) -> str | None:
     return None
 
 
+_AXIS = re.compile(
+    r"(?:^|[^a-z]|(?<=[agw])|(?<=gyr)|(?<=gyro)|(?<=acc)|(?<=accel)|(?<=omega))([xyz])(?:$|[^a-z])"
+)
+
+
 def _axis_columns(names: Sequence[str], sensor_pattern: str) -> list[str] | None:
     """Return the columns x, y and z of one sensor, without those of a corrected copy.
 
@@ -262,7 +264,7 @@ def _axis_columns(names: Sequence[str], sensor_pattern: str) -> list[str] | None
     columns: dict[str, list[str]] = {}
     for name in names:
         bare_name = re.sub(r"[\[(].*?[\])]", "", name.lower()).strip()
-        axis = re.search(r"(?:^|[^a-z]|(?<=[agw]))([xyz])(?:$|[^a-z])", bare_name)
+        axis = _AXIS.search(bare_name)
         if axis and re.search(sensor_pattern, bare_name) and "linear" not in bare_name:
             columns.setdefault(axis[1], []).append(name)
     if len(columns) != 3:

@@ -67,8 +67,7 @@ def processing_notes(gyroscope: str, message: str) -> list[str]:
         return []
     return [
         f"gyroscope {gyroscope}: PX4 has already corrected the rates of {message} with its own "
-        "calibration, and has rotated them to the body frame, so the result is what remains after "
-        "this correction"
+        "calibration, and has rotated them to the body frame"
     ]
 
 
