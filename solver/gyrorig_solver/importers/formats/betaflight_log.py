@@ -30,7 +30,7 @@ from gyrorig_solver.importers.measurement_format import (
 )
 
 _TIME_WRAP_US = 2**32
-_MAX_GAP_US = 10_000_000  # between two frames; a larger step is a damaged frame
+_MAX_GAP_US = 10_000_000  # a larger step is a pause or a damaged frame; the next frame shows which
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,16 +113,30 @@ def _triple(session: BlackboxSession, name: str) -> FloatArray | None:
 
 
 def _times(session: BlackboxSession) -> tuple[FloatArray, np.ndarray]:
-    """Return the times in us of the frames in order, and the indices of these frames."""
+    """Return the times in us of the frames in order, and the indices of these frames.
+
+    After a long step, the next frame decides: if it continues the time before the step, the frame
+    is damaged; if it continues the time after it, the step is a pause. A step of half the range of
+    the counter (36 min) or more is one backwards.
+    """
     raw = _column(session, "time")
     if raw is None:
         raise InputError(
             "the blackbox log has no field time",
             "download the log from the flight controller again",
         )
-    steps = np.mod(np.diff(np.mod(raw, _TIME_WRAP_US)), _TIME_WRAP_US)
-    is_next = np.concatenate([[True], (steps > 0.0) & (steps < _MAX_GAP_US)])
-    time_us = raw[0] + np.concatenate([[0.0], np.cumsum(np.where(is_next[1:], steps, 0.0))])
+    steps = np.concatenate([[0.0], np.mod(np.diff(raw), _TIME_WRAP_US)])
+    is_next = (steps > 0.0) & (steps < _MAX_GAP_US)
+    is_next[0] = True
+    for frame in np.flatnonzero(~is_next).tolist():
+        if is_next[frame] or frame + 1 == raw.size:
+            continue
+        from_before = steps[frame] + steps[frame + 1]
+        if 0.0 < from_before % _TIME_WRAP_US < _MAX_GAP_US:
+            steps[frame + 1], is_next[frame + 1] = from_before % _TIME_WRAP_US, True
+        elif 0.0 < steps[frame] < _TIME_WRAP_US / 2:
+            is_next[frame] = 0.0 < steps[frame + 1] < _MAX_GAP_US
+    time_us = raw[0] + np.cumsum(np.where(is_next, steps, 0.0))
     frames = np.flatnonzero(is_next)
     return time_us[frames] - min(0.0, float(raw[0])), frames
 
