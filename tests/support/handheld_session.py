@@ -119,7 +119,7 @@ def write_sensor_logger(folder: Path, session: HandheldSession) -> Path:
 def write_phyphox(folder: Path, session: HandheldSession, delimiter: str = ",") -> Path:
     """Write phyphox's zip, with a pause in a rest, in which the experiment's time stands still.
 
-    With the delimiter ";" the numbers have decimal commas.
+    With the delimiter ";" or a tab the numbers have decimal commas, in all tables.
     """
     cut = 700  # in the first rest: 7 s
     pause_s = 4.5
@@ -130,7 +130,11 @@ def write_phyphox(folder: Path, session: HandheldSession, delimiter: str = ",") 
         labels = ["Time (s)", *(f"{name} {axis} ({unit})" for axis in "xyz")]
         header = delimiter.join(f'"{label}"' for label in labels)
         text = table(header, [time_s + shift_s, *values.T], delimiter)
-        return text.replace(".", ",") if delimiter == ";" else text
+        return text.replace(".", ",") if delimiter != "," else text
+
+    def cells(*values: str | float) -> str:
+        texts = [f'"{v}"' if isinstance(v, str) else f"{v:.3f}" for v in values]
+        return delimiter.join(t if delimiter == "," else t.replace(".", ",") for t in texts) + "\n"
 
     first_s = START_NS * 1e-9
     end_s = float(time_s[-1]) + 0.01
@@ -139,14 +143,16 @@ def write_phyphox(folder: Path, session: HandheldSession, delimiter: str = ",") 
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as out:
         out.writestr("Gyroscope.csv", sensor("Gyroscope", "rad/s", session.rate_rad_s))
         out.writestr("Accelerometer.csv", sensor("Acceleration", "m/s^2", session.accel_m_s2))
-        out.writestr("meta/device.csv", '"property","value"\n"deviceModel","Pixel 6a"\n')
+        out.writestr(
+            "meta/device.csv", cells("property", "value") + cells("deviceModel", "Pixel 6a")
+        )
         out.writestr(
             "meta/time.csv",
-            '"event","experiment time","system time","system time text"\n'
-            f'"START",0.0,{first_s:.3f},"2023-10-28 13:52:24.402 UTC+01:00"\n'
-            f'"PAUSE",{paused_s},{first_s + paused_s:.3f},"-"\n'
-            f'"START",{paused_s},{first_s + paused_s + pause_s:.3f},"-"\n'
-            f'"PAUSE",{end_s},{first_s + end_s + pause_s:.3f},"-"\n',
+            cells("event", "experiment time", "system time", "system time text")
+            + cells("START", 0.0, first_s, "2023-10-28 13:52:24.402 UTC+01:00")
+            + cells("PAUSE", paused_s, first_s + paused_s, "-")
+            + cells("START", paused_s, first_s + paused_s + pause_s, "-")
+            + cells("PAUSE", end_s, first_s + end_s + pause_s, "-"),
         )
     return path
 

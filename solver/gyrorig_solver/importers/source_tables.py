@@ -23,6 +23,11 @@ MAX_TEXT_ROWS = 1000  # of a table of words, such as the properties of a device
 _DAMAGED = (zipfile.BadZipFile, zlib.error, EOFError, RuntimeError, OSError, UnicodeDecodeError)
 
 
+def find_delimiter(header: str) -> str:
+    """Return what is between the cells of a header line: comma, semicolon or tab."""
+    return max(",;\t", key=header.count)
+
+
 class SourceTables:
     """The tables of one folder or zip archive, by their file names."""
 
@@ -88,11 +93,16 @@ class SourceTables:
             ) from error
 
     def text_rows(self, name: str) -> list[list[str]]:
-        """Return the cells of a small table of words, at most `MAX_TEXT_ROWS` rows."""
+        """Return the cells of a small table of words, at most `MAX_TEXT_ROWS` rows.
+
+        The first line shows whether comma, semicolon or tab is between the cells.
+        """
+        delimiter = find_delimiter(self.header(name))
         try:
             with self._open(name) as lines:
                 limited = (lines.readline(MAX_LINE_CHARS) for _ in range(MAX_TEXT_ROWS))
-                return [row for row in csv.reader(line for line in limited if line) if row]
+                rows = csv.reader((line for line in limited if line), delimiter=delimiter)
+                return [row for row in rows if row]
         except (csv.Error, InputError, *_DAMAGED):
             return []
 

@@ -98,8 +98,14 @@ def test_a_phone_keeps_its_clock_and_the_time_of_day(
     assert np.abs(samples.time_s - brief.time_s).max() < 1e-6
 
 
-def test_a_pause_of_phyphox_is_counted(tmp_path: Path, brief: HandheldSession) -> None:
-    samples = imported(write_phyphox(tmp_path, brief), tmp_path / "out.mcap")
+@pytest.mark.parametrize("delimiter", [",", ";", "\t"])
+def test_a_pause_of_phyphox_is_counted(
+    tmp_path: Path, brief: HandheldSession, delimiter: str
+) -> None:
+    """Before, the pause and the time of day were lost with a semicolon or a tab."""
+    samples = imported(write_phyphox(tmp_path, brief, delimiter), tmp_path / "out.mcap")
+    assert abs(samples.origin_ns - START_NS) < 1_000_000
+    assert samples.metadata["model"] == "Pixel 6a"
     assert samples.time_s[699] == pytest.approx(6.99, abs=1e-6)
     assert samples.time_s[700] == pytest.approx(7.0 + 4.5 + 0.001, abs=2e-3)
 

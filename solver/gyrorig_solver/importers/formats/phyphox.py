@@ -4,7 +4,7 @@ Source: phyphox experiments gyroscope.phyphox and acceleration.phyphox: the colu
 `Gyroscope x (rad/s)`, `Acceleration x (m/s^2)`. The time is that of the experiment, which stands
 still in a pause. `meta/time.csv` gives the system time of each START and PAUSE in the columns
 "event", "experiment time", "system time", "system time text". The export has comma, semicolon or
-tab between columns, and with the last two also decimal commas.
+tab between columns, and with the last two also decimal commas, in all its tables.
 """
 
 import re
@@ -28,7 +28,7 @@ from gyrorig_solver.importers.measurement_format import (
     ImportOptions,
     read_head,
 )
-from gyrorig_solver.importers.source_tables import SourceTables
+from gyrorig_solver.importers.source_tables import SourceTables, find_delimiter
 
 _GYRO = re.compile(r"(?<!linear )gyroscope ([xyz]) \(rad/s\)|^rotation rate ([xyz]) \(rad/s\)")
 _ACCEL = re.compile(r"^acceleration ([xyz]) \(m/s(?:\^2|²)\)")
@@ -73,6 +73,10 @@ class Phyphox:
             accel_s, values = _read_sensor(tables, accel_name, _ACCEL)
             accel = accel_s, values
         origin_ns, blocks = _time_blocks(tables)
+        if not blocks and "time.csv" in tables.names:
+            notes.append(
+                "meta/time.csv gives no valid start, so pauses and the time of day are not known"
+            )
         if len(blocks) > 1:
             notes.append(f"the experiment was paused {len(blocks) - 1} times")
         board = MeasuredBoard(
@@ -86,8 +90,7 @@ class Phyphox:
 
 
 def _cells(header: str) -> list[str]:
-    delimiter = max(",;\t", key=header.count)
-    return [cell.strip().strip('"').lower() for cell in header.split(delimiter)]
+    return [cell.strip().strip('"').lower() for cell in header.split(find_delimiter(header))]
 
 
 def _axis_columns(header: str, pattern: re.Pattern[str]) -> list[Column]:
@@ -117,12 +120,12 @@ def _read_sensor(
     tables: SourceTables, name: str, pattern: re.Pattern[str]
 ) -> tuple[FloatArray, FloatArray]:
     """Return the experiment time in s, and the values."""
-    keys = _axis_columns(tables.header(name), pattern)
+    header = tables.header(name)
+    keys = _axis_columns(header, pattern)
     wanted: list[Column] = [1, *keys]
-    try:
-        columns = tables.columns(name, wanted)
-    except InputError:
-        columns = tables.columns(name, wanted, TableLayout(decimal="comma"))
+    # a comma that is not between cells is a decimal comma
+    layout = TableLayout() if find_delimiter(header) == "," else TableLayout(decimal="comma")
+    columns = tables.columns(name, wanted, layout)
     time_s = columns.matrix([1], 1)[:, 0]
     finite = np.isfinite(time_s)
     return time_s[finite], columns.matrix(keys, 3)[finite]
@@ -137,7 +140,8 @@ def _time_blocks(tables: SourceTables) -> tuple[int, list[tuple[float, float]]]:
     for row in tables.text_rows("time.csv")[1:]:
         if len(row) >= 3 and row[0] == "START":
             try:
-                starts.append((float(row[1]), float(row[2])))
+                experiment_s, system_s = (float(cell.replace(",", ".")) for cell in row[1:3])
+                starts.append((experiment_s, system_s))
             except ValueError:
                 return 0, []
     if not starts or not all(np.isfinite(time) for start in starts for time in start):
