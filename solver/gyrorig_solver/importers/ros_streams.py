@@ -34,6 +34,7 @@ from gyrorig_solver.importers.stamp_kinds import choose_stamp_kind, count_rows
 NS = 1_000_000_000
 MAX_MESSAGES = 10_000_000
 MAX_LISTED_TOPICS = 12
+NO_FRAME = "no frame"
 
 RosMessage = tuple[str, str, int, Any]  # topic, type, log time in ns, decoded message
 
@@ -123,7 +124,6 @@ def read_ros_streams(
     _check_chosen(options.topics, topics)
     imus = _choose("imu", topics, options.topics)
     poses = _choose("pose", topics, options.topics)
-    temperatures = [topic for topic in topics if topic.kind == "temperature"]
     if not imus and not poses:
         listed = ", ".join(sorted(set(types))[:MAX_LISTED_TOPICS]) or "no messages"
         raise InputError(
@@ -146,14 +146,10 @@ def read_ros_streams(
         )
     origin_ns = min(int(topic.stamp_ns[0]) for topic in (*imus, *poses))
     notes = [note for topic in (*imus, *poses) for note in _topic_notes(topic)]
-    if len(temperatures) > 1:
-        chosen = [topic for topic in temperatures if topic.name in options.topics]
-        if not chosen:
-            notes.append(f"temperatures are left out: {_list_topics(temperatures)}; use --topic")
-        temperatures = chosen
+    temperatures = _assign_temperatures(topics, imus, options.topics, notes)
     names = unique_names([options.board or board_name(topic.name, "IMU") for topic in imus])
     boards = [
-        _board(topic, name, temperatures[:1], origin_ns, options)
+        _board(topic, name, temperatures.get(topic.name), origin_ns, options)
         for topic, name in zip(imus, names, strict=True)
     ]
     return MeasuredStreams(
@@ -213,7 +209,7 @@ def _order(name: str, rows: _TopicRows, options: ImportOptions) -> _Topic:
         stamp_ns, picked = order_by_time(stamp_ns, indices, name, notes)
         values = values[picked[:, 0].astype(np.int64)]
         reason = "; ".join([reason, *notes])
-    frames = " and ".join(sorted(frame for frame in rows.frames if frame)) or "no frame"
+    frames = " and ".join(sorted(frame for frame in rows.frames if frame)) or NO_FRAME
     return _Topic(name, rows.kind, stamp_ns, values, stamp, reason, frames)
 
 
@@ -232,6 +228,54 @@ def _choose(kind: str, topics: list[_Topic], chosen: tuple[str, ...]) -> list[_T
     """Return the topics of a kind, only the chosen ones if one of them is chosen."""
     of_kind = [topic for topic in topics if topic.kind == kind]
     return [topic for topic in of_kind if topic.name in chosen] or of_kind
+
+
+def _assign_temperatures(
+    topics: list[_Topic], imus: list[_Topic], chosen: tuple[str, ...], notes: list[str]
+) -> dict[str, _Topic]:
+    """Return the temperature of each IMU, by the topic of the IMU; may append to `notes`.
+
+    A temperature is that of the IMU with the same namespace or the same frame. Of a bag with one
+    IMU and one temperature, and of topics that a person chose, it is assumed to be that of the IMU.
+    """
+    temperatures = _choose("temperature", topics, chosen)
+    all_imus = [topic for topic in topics if topic.kind == "imu"]
+    assigned: dict[str, list[_Topic]] = {}
+    left_out = []
+    for temperature in temperatures:
+        owners = _same_sensor(temperature, all_imus)
+        is_single = len(temperatures) == 1 and len(imus) == 1
+        if not owners and is_single and (len(all_imus) == 1 or temperature.name in chosen):
+            owners = imus
+            notes.append(f"the temperature of {temperature.name} is taken as that of the IMU")
+        for owner in owners:
+            assigned.setdefault(owner.name, []).append(temperature)
+        if not owners:
+            left_out.append(temperature)
+    for imu in imus:
+        if len(assigned.get(imu.name, [])) > 1:
+            left_out += assigned.pop(imu.name)
+    if left_out and imus:
+        notes.append(
+            f"temperatures are left out: {_list_topics(left_out)}; it is not known which IMU they "
+            "belong to; use --topic for one IMU and one temperature"
+        )
+    return {name: of_imu[0] for name, of_imu in assigned.items()}
+
+
+def _same_sensor(temperature: _Topic, imus: list[_Topic]) -> list[_Topic]:
+    """Return the IMUs that share the namespace or the frame of a temperature.
+
+    If several share one of the two, only those that share both.
+    """
+    namespace = temperature.name.rpartition("/")[0]
+    by_name = [imu for imu in imus if namespace and imu.name.rpartition("/")[0] == namespace]
+    by_frame = [imu for imu in imus if imu.frames == temperature.frames and imu.frames != NO_FRAME]
+    if len(by_name) == 1:
+        return by_name
+    if by_name:
+        return [imu for imu in by_name if imu in by_frame]
+    return by_frame if len(by_frame) == 1 else []
 
 
 def _list_topics(topics: list[_Topic]) -> str:
@@ -255,13 +299,12 @@ def _topic_notes(topic: _Topic) -> list[str]:
 
 
 def _board(
-    topic: _Topic, name: str, temperatures: list[_Topic], origin_ns: int, options: ImportOptions
+    topic: _Topic, name: str, stream: _Topic | None, origin_ns: int, options: ImportOptions
 ) -> MeasuredBoard:
     time_s = seconds_since(topic.stamp_ns, origin_ns)
     accel = topic.values[:, 3:]
     temperature = None
-    if temperatures:
-        stream = temperatures[0]
+    if stream is not None:
         temperature = TemperatureStream(
             stream.values[:, 0], seconds_since(stream.stamp_ns, origin_ns), stream.stamp
         )

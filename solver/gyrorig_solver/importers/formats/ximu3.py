@@ -66,6 +66,12 @@ class Ximu3:
                 "enough",
                 "remove --board, or give the folder of one device",
             )
+        if len(folders) > 1 and options.topics:
+            raise InputError(
+                f"the folder {source.name} contains {len(folders)} devices, each with an attitude, "
+                "but one recording has one reference",
+                "remove --topic, or give the folder of one device",
+            )
         boards = [_read_board(folder, options) for folder in folders]
         boards, name_notes = _name_unknown_devices(boards, folders)
         poses, pose_notes = _read_poses(SourceTables(folders[0]), options)
