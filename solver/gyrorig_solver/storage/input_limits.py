@@ -30,6 +30,7 @@ FIT_MEMORY_PER_MESSAGE_BYTES = 30_000
 MAX_FIT_MEMORY_BYTES = 8000 * MB  # long recordings are fitted as means
 BASE_TIME_S = 30.0  # of the processor
 TIME_PER_BYTE_S = 30.0 / (10 * MB)
+REPEATED_LIMIT_S = 2.0  # after which a limit that was caught is raised again
 MEMORY_VARIABLE = "GYRORIG_MEMORY_MB"  # a larger limit, for a file that a person trusts
 # What a process with the libraries has loaded before it reads a file.
 _MAX_PROGRAM_BYTES = 150 * MB
@@ -86,19 +87,28 @@ def limit_input(name: str, input_bytes: int) -> Iterator[None]:
         yield
         return
     limit_s = time_bound_s(input_bytes)
+    has_expired = False
 
-    def end(_signal: int, _frame: object) -> None:
-        raise InputError(
+    def limit_error() -> InputError:
+        return InputError(
             f"the file {name} needs more than {limit_s:.0f} s of processor time, the limit for a "
             "file of its size, so it is probably damaged or hostile",
             "record or export the data again",
         )
 
+    def end(_signal: int, _frame: object) -> None:
+        nonlocal has_expired
+        has_expired = True
+        raise limit_error()
+
     with limit_memory_by_size(name, input_bytes):
         previous = signal.signal(signal.SIGPROF, end)
-        signal.setitimer(signal.ITIMER_PROF, limit_s)
+        # Code in the block can catch the error, and try something else: the limit stays.
+        signal.setitimer(signal.ITIMER_PROF, limit_s, REPEATED_LIMIT_S)
         try:
             yield
+            if has_expired:
+                raise limit_error()
         finally:
             signal.setitimer(signal.ITIMER_PROF, 0.0)
             signal.signal(signal.SIGPROF, previous)

@@ -1,5 +1,6 @@
 """A hostile file costs its own work only: it is read or refused, within bounds by its size."""
 
+import contextlib
 import struct
 import time
 from collections.abc import Iterator, Sequence
@@ -219,6 +220,21 @@ def test_a_file_that_needs_too_much_time_is_refused(monkeypatch: pytest.MonkeyPa
     refusal = pytest.raises(InputError, match="of processor time")
     with refusal, limit_input("x.csv", 1):
         _use_time()
+
+
+@pytest.mark.parametrize("more_s", [0.0, 60.0])
+def test_code_that_catches_the_limit_does_not_end_it(
+    monkeypatch: pytest.MonkeyPatch, more_s: float
+) -> None:
+    """Before, code that tried something else after an error continued without a limit."""
+    monkeypatch.setattr(input_limits, "BASE_TIME_S", 0.2)
+    begin_s = time.process_time()
+    with pytest.raises(InputError, match="of processor time"), limit_input("x.csv", 1):
+        with contextlib.suppress(InputError):
+            _use_time()
+        while time.process_time() - begin_s < more_s:
+            pass
+    assert time.process_time() - begin_s < 30.0
 
 
 def test_a_job_that_exceeds_the_memory_of_its_file_is_rejected(
