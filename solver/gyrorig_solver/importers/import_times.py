@@ -12,6 +12,8 @@ from gyrorig_solver.importers.measurement_columns import MeasurementColumns
 
 UNIT_S = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 MAX_DISORDER_S = 0.1  # of the stamps of attitudes, far above the jitter of a link
+WINDOW_ROWS = 97  # whose duration shows how dense the rows are
+DENSITY_TOLERANCE = 0.15  # of the usual duration
 MAX_TIME_S = 2**31 - 1  # builtin_interfaces/Time counts seconds in an int32
 
 
@@ -101,6 +103,36 @@ def describe_jump(time_s: FloatArray, period_s: float, board: str) -> list[str]:
     return [
         f"{board}: the times jump by {step_s[at]:.6g} s at row {at + 2}{more}; if the log has no "
         "pause there, its clock was set, so import the rows before and after it separately"
+    ]
+
+
+def describe_doubled_times(time_s: FloatArray, board: str) -> list[str]:
+    """Return a note if the rows are twice as dense for some time as elsewhere, or no note.
+
+    They are if the clock of the log was set back: then the rows of two times are sorted into one.
+
+    Args:
+        time_s: of all rows, shape (n,), not decreasing.
+        board: the name of the board.
+    """
+    if time_s.size < 4 * WINDOW_ROWS:
+        return []
+    durations_s = time_s[WINDOW_ROWS:] - time_s[:-WINDOW_ROWS]
+    usual_s = float(np.percentile(durations_s, 75.0))
+    is_usual = np.abs(durations_s - usual_s) < DENSITY_TOLERANCE * usual_s
+    is_doubled = np.abs(durations_s - 0.5 * usual_s) < 0.5 * DENSITY_TOLERANCE * usual_s
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], is_doubled, [False]]).astype(np.int8)))
+    if np.mean(is_usual) < 0.25 or not edges.size:
+        return []
+    longest = int(np.argmax(edges[1::2] - edges[::2]))
+    first, last = int(edges[2 * longest]), int(edges[2 * longest + 1]) - 1
+    if last - first < WINDOW_ROWS:
+        return []
+    return [
+        f"{board}: from {time_s[first]:.6g} s to {time_s[last + WINDOW_ROWS]:.6g} s the rows are "
+        "twice as dense as elsewhere; if the sample rate was not changed there, the clock of the "
+        "log was set back, and rows of different times are mixed, so import only the rows before "
+        "or after this interval"
     ]
 
 

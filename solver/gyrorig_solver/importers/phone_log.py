@@ -140,11 +140,15 @@ def has_sensor_tags(lines: Iterable[str]) -> bool:
 
 
 def _fields(line: str) -> list[str]:
-    separator = ";" if ";" in line else ","
-    flat = line.replace("[", "").replace("]", "")
-    if separator == ";":  # Sensei has "name;ms;ns;[x, y, z]"
-        flat = flat.replace(",", ";")
-    return [part.strip() for part in flat.split(separator)]
+    if ";" not in line:
+        return [part.strip() for part in re.sub(r"[\[\]]", "", line).split(",")]
+    # Sensei has "name;ms;ns;[x, y, z]"; any other comma is a decimal comma
+    flat = re.sub(r"\[([^\]]*)\]", lambda match: _split_list(match[1]), line)
+    return [part.strip().replace(",", ".") for part in flat.split(";")]
+
+
+def _split_list(text: str) -> str:
+    return re.sub(r",\s+" if re.search(r",\s", text) else ",", ";", text)
 
 
 def _number(text: str) -> float | None:
@@ -155,14 +159,20 @@ def _number(text: str) -> float | None:
     return value if math.isfinite(value) else None
 
 
+_PART = re.compile(r"0\d+")  # the decimals of a number that a comma divides
+
+
 def _read_tagged(path: Path, notes: list[str]) -> tuple[str, _StampedValues, _StampedValues | None]:
     streams: dict[str, _SensorLines] = {}
     unread = 0
+    has_point = has_leading_zero = False
     for line in _lines(path):
         fields = _fields(line)
         tag = fields[0].lower()
         if tag not in (*GYRO_TAGS, *UNCALIBRATED_GYRO_TAGS, *ACCEL_TAGS, *UNCALIBRATED_ACCEL_TAGS):
             continue
+        has_point = has_point or any("." in text for text in fields[1:6])
+        has_leading_zero = has_leading_zero or any(_PART.fullmatch(text) for text in fields[1:])
         numbers = [_number(text) for text in fields[2:6]]
         if len(numbers) < 4 or any(number is None for number in numbers):
             unread += 1
@@ -171,6 +181,12 @@ def _read_tagged(path: Path, notes: list[str]) -> tuple[str, _StampedValues, _St
         stream = streams.setdefault(tag, _SensorLines())
         stream.stamps.append(stamp)
         stream.values.append((x, y, z))
+    if has_leading_zero and not has_point:
+        raise InputError(
+            f"the numbers in the phone's log {path.name} have decimal commas, and commas are also "
+            "between the numbers, so they cannot be read",
+            "log again with a language of the phone that has decimal points, for example English",
+        )
     if unread:
         notes.append(f"{unread} lines with a sensor tag could not be read")
     gyro = _choose_stream(streams, UNCALIBRATED_GYRO_TAGS, GYRO_TAGS, notes)

@@ -14,6 +14,7 @@ from gyrorig_solver.data import BoolArray, FloatArray, IntArray
 from gyrorig_solver.importers.import_times import (
     GyroTimes,
     check_times,
+    describe_doubled_times,
     describe_jump,
     nanoseconds,
     values_at_samples,
@@ -84,6 +85,7 @@ def encode_samples(board: MeasuredBoard, origin_ns: int) -> ImuStream:
     number = numbers.number
     times = GyroTimes(gyro.time_s, row, numbers.period_s)
     notes += describe_jump(gyro.time_s, times.period_s, board.name)
+    notes += describe_doubled_times(gyro.time_s, board.name)
     if not numbers.has_constant_rate:
         notes.append(
             f"{board.name}: the times of the rows show no constant sample rate, so a missing row "

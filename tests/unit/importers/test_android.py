@@ -277,3 +277,28 @@ def test_two_gyroscopes_in_one_table_are_refused(tmp_path: Path) -> None:
     source.write_text(head + rows)
     with pytest.raises(InputError, match="columns gyro_x and watch_gyro_x"):
         read_phone_log(source)
+
+
+def tagged(separator: str, brackets: bool = False) -> str:
+    """Return lines with decimal commas."""
+    lines = []
+    for k in range(200):
+        rates = f"[0,1{separator} -0,2{separator} 0,3]" if brackets else "0,1;-0,2;0,3;3"
+        text = f"GYRO;{k * 0.01:.3f};{k * 0.01:.6f};".replace(".", ",") + rates
+        lines.append(text if brackets else text.replace(";", separator))
+    return "\n".join(lines)
+
+
+@pytest.mark.parametrize("text", [tagged(";"), tagged(",", brackets=True)])
+def test_decimal_commas_of_tagged_lines(tmp_path: Path, text: str) -> None:
+    """Before, the rates were 0, 10000 and 0 rad/s."""
+    (tmp_path / "log.txt").write_text(text)
+    log = read_phone_log(tmp_path / "log.txt")
+    np.testing.assert_allclose(log.rate_rad_s, np.tile([0.1, -0.2, 0.3], (200, 1)))
+    assert np.array_equal(np.diff(log.stamp_ns), np.full(199, 10_000_000))
+
+
+def test_decimal_commas_between_commas_are_refused(tmp_path: Path) -> None:
+    (tmp_path / "log.txt").write_text(tagged(","))
+    with pytest.raises(InputError, match="have decimal commas, and commas are also between"):
+        read_phone_log(tmp_path / "log.txt")

@@ -1,5 +1,6 @@
 """Steps of the times of a log whose clock was set: no lost samples, and a remark on the import."""
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -44,3 +45,17 @@ def test_bursts_and_short_gaps_are_no_jumps(tmp_path: Path) -> None:
     assert imported(tmp_path, bursts_s, text).notes == ()
     (tmp_path / "gap").mkdir()
     assert imported(tmp_path / "gap", 1.0 + row / 200.0 + 0.4 * (row > 99)).notes == ()
+
+
+@pytest.mark.parametrize("back_s", [2.0, 8.0])
+def test_rows_of_a_clock_that_was_set_back_get_a_remark(back_s: float, tmp_path: Path) -> None:
+    """A bag is read in the order of its times, which mixes the rows of both times."""
+    rng = np.random.default_rng(2)
+    row = np.arange(6000)
+    time_s = 1.0 + row / 200.0 + 1e-3 * rng.random(6000)
+    time_s = np.sort(time_s - np.where(row < 3000, 0.0, back_s))
+    (note,) = imported(tmp_path, time_s, BASE.replace("unit: s}", ARRIVAL)).notes
+    first_s, last_s = (float(text) for text in re.findall(r"([0-9.]+) s ", note)[:2])
+    assert first_s == pytest.approx(16.0 - back_s, abs=0.2)
+    assert last_s == pytest.approx(16.0, abs=0.2)
+    assert "twice as dense as elsewhere; if the sample rate was not changed there" in note
