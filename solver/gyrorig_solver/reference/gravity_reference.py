@@ -8,7 +8,7 @@ Source: Tedaldi, Pretto, Menegatti, "A robust and easy to implement method for I
 calibration without external equipments", ICRA 2014 (imu_tk), sections III and IV.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -67,13 +67,18 @@ def find_poses(
 
     Args:
         time_s: shape (n,), increasing.
-        accel_m_s2: nominal scale, shape (n, 3).
+        accel_m_s2: nominal scale, shape (n, 3); rows that are not finite are ignored.
         gravity_m_s2: local gravity; it determines the scale of the accelerometer only.
         known_rest: an interval known to be at rest; None: the ten seconds of smallest variance.
 
     Raises:
         InputError: there are too few poses, or the poses are too similar.
     """
+    row = np.flatnonzero(np.isfinite(accel_m_s2).all(axis=1))
+    if row.size < len(accel_m_s2):
+        poses = find_poses(time_s[row], accel_m_s2[row], gravity_m_s2, known_rest)
+        first, last = row[list(poses.first_sample)], row[list(poses.last_sample)]
+        return replace(poses, first_sample=tuple(first.tolist()), last_sample=tuple(last.tolist()))
     candidates: list[StaticPoses] = []
     max_rests = 0
     variance = _moving_variance(time_s, accel_m_s2)

@@ -80,6 +80,24 @@ def test_rests_are_found_where_they_are(
         assert rest.end_s <= begin_s + 3.6
 
 
+@pytest.mark.parametrize("share", [0.0, 0.4])
+def test_samples_without_an_acceleration_are_ignored(
+    samples_of: Maker, true_gain: FloatArray, true_bias_rad_s: FloatArray, share: float
+) -> None:
+    """A slower accelerometer, and a dropout of 6 s; before, no rest had a direction."""
+    samples = handheld(samples_of, true_gain, true_bias_rad_s, 2)
+    assert samples.accel_m_s2 is not None
+    force = samples.accel_m_s2.copy()
+    force[np.random.default_rng(3).random(len(force)) < share] = np.nan
+    force[(samples.time_s > 40.0) & (samples.time_s < 46.0)] = np.nan
+    poses = find_poses(samples.time_s, force, GRAVITY, TimeInterval(0.0, 10.0))
+    whole = find_poses(samples.time_s, samples.accel_m_s2, GRAVITY, TimeInterval(0.0, 10.0))
+    assert len(poses.rests) >= 29
+    for first, rest, up in zip(poses.first_sample, poses.rests, poses.direction, strict=True):
+        assert samples.time_s[first] == rest.begin_s
+        assert np.linalg.norm(whole.direction - up, axis=1).min() < 0.01
+
+
 @pytest.mark.long
 def test_errors_are_what_the_covariance_says(
     samples_of: Maker, true_gain: FloatArray, true_bias_rad_s: FloatArray

@@ -49,7 +49,8 @@ def pack_sensor_imu(
         frame_id: the frame of all messages.
         rate_rad_s: shape (n, 3).
         rate_covariance: covariance of all rates, shape (3, 3); zeros if unknown.
-        force_m_s2: specific force, shape (n, 3); None if not measured.
+        force_m_s2: specific force, shape (n, 3); None if not measured, and a row that is not finite
+            if it was not measured in this sample.
 
     Raises:
         ValueError: a timestamp does not fit a message.
@@ -80,5 +81,7 @@ def pack_sensor_imu(
     if force_m_s2 is None:
         numbers[:, 28] = COVARIANCE_NOT_MEASURED
     else:
-        numbers[:, 25:28] = force_m_s2
+        is_measured = np.isfinite(force_m_s2).all(axis=1)
+        numbers[:, 25:28] = np.where(is_measured[:, None], force_m_s2, 0.0)
+        numbers[~is_measured, 28] = COVARIANCE_NOT_MEASURED
     return payloads.view(np.uint8).reshape(timestamp_ns.size, payload_dtype.itemsize)

@@ -85,11 +85,16 @@ class AccelerometerReadings:
     readings: tuple[tuple[FloatArray, FloatArray] | None, ...]  # time (n,), force (n, 3)
 
     def at(self, recording: int, time_s: FloatArray) -> FloatArray | None:
-        """Return the force at given times, (m, 3), by linear interpolation."""
+        """Return the force at given times, (m, 3), by linear interpolation.
+
+        Rows that are not finite are ignored.
+        """
         reading = self.readings[recording]
         if reading is None:
             return None
-        return np.stack([np.interp(time_s, reading[0], axis) for axis in reading[1].T], axis=1)
+        is_known = np.isfinite(reading[1]).all(axis=1)
+        read_s, force = reading[0][is_known], reading[1][is_known]
+        return np.stack([np.interp(time_s, read_s, axis) for axis in force.T], axis=1)
 
 
 def build_block_segments(
