@@ -81,7 +81,7 @@ def pack_sensor_imu(
     if force_m_s2 is None:
         numbers[:, 28] = COVARIANCE_NOT_MEASURED
     else:
-        is_measured = np.isfinite(force_m_s2).all(axis=1)
+        is_measured: npt.NDArray[np.bool_] = np.all(np.isfinite(force_m_s2), axis=1)
         numbers[:, 25:28] = np.where(is_measured[:, None], force_m_s2, 0.0)
         numbers[~is_measured, 28] = COVARIANCE_NOT_MEASURED
     return payloads.view(np.uint8).reshape(timestamp_ns.size, payload_dtype.itemsize)
