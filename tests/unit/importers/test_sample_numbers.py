@@ -5,11 +5,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.support.handheld_session import simulate_session, write_xsens
 from tests.unit.importers.test_import_measurements import BASE, archive, mapped
 
 from gyrorig_protocol.recording.reader import read_recording
 from gyrorig_solver.data.samples import GyroSamples, load_samples
-from gyrorig_solver.importers import import_measurements
+from gyrorig_solver.importers import import_files, import_measurements
 from gyrorig_solver.importers.sample_numbers import number_sampled_rows
 from gyrorig_solver.importers.stamp_kinds import count_rows
 
@@ -130,3 +131,20 @@ def test_arrivals_with_many_gaps_are_numbered_in_linear_time() -> None:
     begin_s = time.process_time()
     count_rows(arrival_s)
     assert time.process_time() - begin_s < 15.0
+
+
+@pytest.mark.parametrize("fine", [True, False])
+def test_the_packet_counter_of_xsens_numbers_the_samples(tmp_path: Path, fine: bool) -> None:
+    session = simulate_session(7, moves=2)
+    source = write_xsens(tmp_path, session, fine=fine)
+    head, *rows = source.read_text().split("\n")
+    first = next(k for k, row in enumerate(rows) if row.startswith("PacketCounter")) + 1
+    is_lost = np.random.default_rng(4).random(len(rows)) < 0.7
+    is_lost[: first + 1] = False
+    is_lost[-2:] = False
+    remaining = [row for row, lost in zip(rows, is_lost, strict=True) if not lost]
+    source.write_text("\n".join([head, *remaining]))
+    path = import_files([source], tmp_path / "out.mcap").path
+    samples = load_samples(read_recording(path), "037003F8")
+    assert samples.lost == is_lost.sum()
+    assert samples.period_s == pytest.approx(0.01, rel=1e-4)

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from gyrorig_protocol.errors import InputError
-from gyrorig_solver.data import FloatArray
+from gyrorig_solver.data import FloatArray, IntArray
 from gyrorig_solver.importers.map_keys import TableLayout
 from gyrorig_solver.importers.measured_streams import (
     AccelStream,
@@ -86,9 +86,10 @@ class XsensText:
         ]  # fmt: skip
         columns = open_columns(source, wanted, layout)
         time_s, rate_hz, notes = _times(columns, wanted, head, source)
+        number = _numbers(columns, wanted, time_s)
         values = columns.matrix(keys, len(keys))
         if rates == "delta_q":
-            values = _rates_of_delta_q(values, time_s)
+            values = _rates_of_delta_q(values, _period_s(time_s, number))
         accel = None
         if all(key in names for key in _ACCEL):
             accel = AccelStream(columns.matrix(_ACCEL, 3))
@@ -98,7 +99,7 @@ class XsensText:
         device, product = _DEVICE.search(head), _PRODUCT.search(head)
         board = MeasuredBoard(
             options.board or (device[1] if device else "XSENS"),
-            GyroStream(time_s, values, rate_hz=rate_hz),
+            GyroStream(time_s, values, rate_hz=rate_hz, number=number),
             accel,
             temperature,
             {
@@ -135,7 +136,7 @@ def _times(
         ticks = columns.matrix(["SampleTimeFine"], 1)[:, 0]
         if np.all(np.isfinite(ticks)) and ticks.size > 1:
             time_s = _unwrap(ticks, _FINE_COUNTER) * _TICK_S
-            _check_rate(time_s, rate_hz, source)
+            _check_rate(_period_s(time_s, _numbers(columns, wanted, time_s)), rate_hz, source)
             return time_s, rate_hz, []
     if "PacketCounter" in wanted and rate_hz is not None:
         counter = columns.matrix(["PacketCounter"], 1)[:, 0]
@@ -152,8 +153,32 @@ def _times(
     )
 
 
-def _check_rate(time_s: FloatArray, rate_hz: float | None, source: Path) -> None:
-    step_s = float(np.median(np.diff(time_s)))
+def _numbers(columns: MeasurementColumns, wanted: list[str], time_s: FloatArray) -> IntArray | None:
+    """Return the numbers of the packets; None without a counter that counts every packet.
+
+    The times show how often the counter of 16 bits overflowed in a gap.
+    """
+    if "PacketCounter" not in wanted or time_s.size < 2:
+        return None
+    counter = columns.matrix(["PacketCounter"], 1)[:, 0]
+    if not np.all(np.isfinite(counter)):
+        return None
+    steps = np.mod(np.diff(counter), _COUNTER)
+    step_s = np.diff(time_s)
+    if np.min(steps) != 1.0:
+        return None
+    expected = step_s / float(np.median(step_s / steps))
+    steps += _COUNTER * np.maximum(np.rint((expected - steps) / _COUNTER), 0.0)
+    return np.concatenate([[0], np.cumsum(steps)]).astype(np.int64)
+
+
+def _period_s(time_s: FloatArray, number: IntArray | None) -> float:
+    """Return the time of one packet; missing packets do not change it if they are counted."""
+    steps = 1 if number is None else np.diff(number)
+    return float(np.median(np.diff(time_s) / steps))
+
+
+def _check_rate(step_s: float, rate_hz: float | None, source: Path) -> None:
     if rate_hz is not None and not 0.9 < step_s * rate_hz < 1.1:
         raise InputError(
             f"in the export {source.name}, SampleTimeFine in units of 0.1 ms gives steps of "
@@ -168,9 +193,8 @@ def _unwrap(counter: FloatArray, size: int) -> FloatArray:
     return np.concatenate([[0.0], np.cumsum(steps)])
 
 
-def _rates_of_delta_q(delta_xyzw: FloatArray, time_s: FloatArray) -> FloatArray:
+def _rates_of_delta_q(delta_xyzw: FloatArray, step_s: float) -> FloatArray:
     """Return the mean rate of each step in rad/s from its rotation, shape (n, 3)."""
-    step_s = float(np.median(np.diff(time_s)))
     vector, scalar = delta_xyzw[:, :3], delta_xyzw[:, 3]
     sign = np.where(scalar < 0.0, -1.0, 1.0)
     length = np.linalg.norm(vector, axis=1)
