@@ -18,7 +18,12 @@ MODEL = "y = S T M omega + b"
 
 Matrix = list[list[float | None]]
 
-UNKNOWN_UIDS = frozenset({"", "unknown"})  # of old boards, imports and tables
+UNKNOWN_IDENTITIES = frozenset({"", "unknown"})  # uid or sensor of old boards, imports, tables
+
+
+def are_different(identity: str, other: str) -> bool:
+    """Return whether two uids, or two types of sensors, are known and different."""
+    return not {identity, other} & UNKNOWN_IDENTITIES and identity != other
 
 
 class _DocumentPart(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -45,7 +50,24 @@ class BoardRecord(_DocumentPart, frozen=True):
 
     def has_other_uid(self, uid: str) -> bool:
         """Return whether this board and the board with `uid` are different; both must be known."""
-        return not {self.uid, uid} & UNKNOWN_UIDS and self.uid != uid
+        return are_different(self.uid, uid)
+
+    def difference_from(self, other: "BoardRecord") -> str | None:
+        """Return the key in which another board differs, None if both can be the same board.
+
+        The id counts, and what is known of both: uid, sensor and settings.
+        """
+        if self.id != other.id:
+            return "id"
+        if self.has_other_uid(other.uid):
+            return "uid"
+        if are_different(self.sensor, other.sensor):
+            return "sensor"
+        for key in self.config.__struct_fields__:
+            value, other_value = getattr(self.config, key), getattr(other.config, key)
+            if None not in (value, other_value) and value != other_value:
+                return key
+        return None
 
 
 class SolvedInput(_DocumentPart, frozen=True):

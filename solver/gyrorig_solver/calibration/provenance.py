@@ -7,6 +7,7 @@ from typing import Any
 from gyrorig_protocol.identity import BoardId
 from gyrorig_protocol.recording.messages import imu_raw_topic
 from gyrorig_protocol.recording.recording import Recording
+from gyrorig_protocol.recording.recording_names import distinct_names
 from gyrorig_solver.calibration.calibration_builder import Provenance
 from gyrorig_solver.calibration.calibration_document import BoardRecord, BoardSettings, SolvedInput
 from gyrorig_solver.data.utc_time import utc_text, utc_text_now
@@ -44,14 +45,16 @@ def build_provenance(
         ),
         inputs=[
             SolvedInput(
-                name=recording.path.name,
+                name=name,
                 sha256=recording.sha256,
                 start=utc_text(recording.start_ns),
                 duration_s=(recording.end_ns - recording.start_ns) * 1e-9,
                 samples=len(recording.topics[imu_raw_topic(board)]),
                 lost=int(missing),
             )
-            for recording, missing in zip(recordings, lost, strict=True)
+            for name, recording, missing in zip(
+                distinct_names(recordings), recordings, lost, strict=True
+            )
         ],
         software=software,
         created=utc_text_now(),

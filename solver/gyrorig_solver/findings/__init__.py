@@ -10,6 +10,7 @@ from gyrorig_solver.findings.findings_builder import (
     build_findings_document,
     figure_key,
     figure_key_at,
+    unexplained_bias_sigma,
 )
 from gyrorig_solver.findings.findings_document import CauseEntry, FindingsDocument, to_yaml
 from gyrorig_solver.findings.findings_files import write_findings
@@ -34,5 +35,6 @@ __all__ = [
     "next_experiment_lines",
     "place_text",
     "to_yaml",
+    "unexplained_bias_sigma",
     "write_findings",
 ]

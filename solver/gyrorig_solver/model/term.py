@@ -166,6 +166,8 @@ class Term(ABC):
     equivalent_causes: tuple[str, ...] = ()  # the same function on one of its axes
     first_order_equivalent: str = ""  # the cause that replaces it in the first scan
     scale_follows_temperature: bool = False  # its size is a change of the scale factor per kelvin
+    # its size changes the scale factor with this power of the rate; None: with no power
+    scale_rate_power: int | None = None
     confounded_with_gain: bool = False  # the gain absorbs it, so its size can stay unobservable
     is_whole_steps: bool = False  # its size is at least one step
     nameless_description: str = ""  # if given, it is reported as unexplained, not as a cause

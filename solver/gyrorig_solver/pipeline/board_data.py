@@ -14,10 +14,12 @@ import numpy as np
 from gyrorig_protocol.errors import InputError, UsageError
 from gyrorig_protocol.module_registry import registered_modules
 from gyrorig_protocol.recording.recording import Recording, in_order_of_time
+from gyrorig_protocol.recording.recording_names import distinct_names
 from gyrorig_solver.data.samples import GyroSamples, load_samples
 from gyrorig_solver.data.stream.exact_repeats import without_repeats
 from gyrorig_solver.data.stream.stuck_axes import without_clipping
 from gyrorig_solver.pipeline import references
+from gyrorig_solver.pipeline.one_board import check_same_board
 from gyrorig_solver.pipeline.rest_check import check_rests
 from gyrorig_solver.reference import ReferenceMotion, TurnReference, read_turns
 
@@ -51,12 +53,18 @@ class BoardData:
         """
         return find_reference(self)
 
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """The file name of each recording, with folders where names are equal."""
+        return distinct_names(self.recordings)
+
     @property
     def missing(self) -> tuple[str, ...]:
         """Texts on missing or contradictory entries of the recordings, and on missing dates."""
-        losses = tuple(f"{r.path.name}: {loss.text}" for r in self.recordings for loss in r.losses)
+        named = list(zip(self.names, self.recordings, strict=True))
+        losses = tuple(f"{name}: {loss.text}" for name, r in named for loss in r.losses)
         losses = (*(self.comparison or ()), *losses)
-        undated = [r.path.name for r in self.recordings if not r.has_time_of_day]
+        undated = [name for name, r in named if not r.has_time_of_day]
         if len(self.recordings) == 1 or not undated:
             return losses
         return (
@@ -85,7 +93,8 @@ class BoardData:
             UsageError: the board's settings differ between recordings, or a recording is given
                 twice.
         """
-        return self._check_recordings(tuple(map(without_clipping, self.samples)))
+        self.check_recordings()
+        return tuple(map(without_clipping, self.samples))
 
     @cached_property
     def sessions(self) -> tuple[Session, ...]:
@@ -99,19 +108,22 @@ class BoardData:
         """
         if self.changed_sessions is not None:
             return self.changed_sessions
-        usable = self._check_recordings(
-            tuple(without_clipping(without_repeats(samples)) for samples in self.samples)
-        )
+        self.check_recordings()
+        usable = [without_clipping(without_repeats(samples)) for samples in self.samples]
         return tuple(
             (recording, samples, reference_motion(recording, samples))
             for recording, samples in zip(self.recordings, usable, strict=True)
         )
 
-    def _check_recordings(self, samples: tuple[GyroSamples, ...]) -> tuple[GyroSamples, ...]:
-        """Return the samples if each recording is given once and all have the same settings."""
+    def check_recordings(self) -> None:
+        """Check that each recording is given once, and that all are of one board and its settings.
+
+        Raises:
+            UsageError: a recording is given twice, or the recordings are of two boards, or the
+                board's settings differ.
+        """
         check_given_once(self.recordings)
-        _check_same_settings(self.recordings, samples)
-        return samples
+        check_same_board(self.names, self.samples)
 
 
 def load_board(
@@ -207,28 +219,6 @@ def check_given_once(recordings: Sequence[Recording]) -> None:
             )
 
 
-def _check_same_settings(recordings: Sequence[Recording], samples: Sequence[GyroSamples]) -> None:
-    first, *others = zip(recordings, samples, strict=True)
-    for recording, other in others:
-        for key in ("gyro_scale_rad_s", "gyro_full_scale_dps", "bandwidth_hz"):
-            value, other_value = first[1].metadata.get(key), other.metadata.get(key)
-            if _as_number(value) != _as_number(other_value):
-                raise UsageError(
-                    f"the setting {key} of board {other.board} differs: it is "
-                    f"{value or 'not given'} in the recording {first[0].path.name}, and "
-                    f"{other_value or 'not given'} in {recording.path.name}",
-                    "solve these two recordings separately",
-                )
-
-
-def _as_number(text: str | None) -> float | str | None:
-    """Return a setting as a number, because `250` and `250.0` are the same; else as it is."""
-    try:
-        return float(text or "")
-    except ValueError:
-        return text
-
-
 @cache
 def reference_kinds() -> "tuple[ReferenceKind, ...]":
     """Return every kind of reference, the preferred one first."""
@@ -247,7 +237,7 @@ def find_reference(data: BoardData) -> "ReferenceKind":
         if kind.is_given(data):
             return kind
     *others, last = [kind.title for kind in reference_kinds() if kind.is_suggested]
-    names = ", ".join(recording.path.name for recording in data.recordings)
+    names = ", ".join(data.names)
     raise InputError(
         f"the recording {names[:120]} has no reference to compare the rates with",
         f"record {', '.join(others)} or {last} too",

@@ -73,15 +73,15 @@ class CriticisedFit:
 def check_raw_streams(data: BoardData) -> list[RawChecks]:
     """Return the checks of the samples of each recording."""
     return [
-        RawChecks(recording.path.name, check_stream(samples))
-        for recording, samples in zip(data.recordings, data.samples, strict=True)
+        RawChecks(name, check_stream(samples))
+        for name, samples in zip(data.names, data.samples, strict=True)
     ]
 
 
 def check_fitted_gain(data: BoardData, gain: FloatArray) -> RawChecks:
     """Return the checks of the gain that was fitted to all recordings."""
     first = data.recordings[0]
-    name = first.path.name if len(data.recordings) == 1 else ALL_RECORDINGS
+    name = data.names[0] if len(data.recordings) == 1 else ALL_RECORDINGS
     sensor = first.metadata.get(f"gyrorig.board.{data.board}", {}).get("sensor", "")
     profile = find_profile(sensor)
     tolerance = None if profile is None else profile.scale_tolerance

@@ -14,6 +14,7 @@ import msgspec
 from gyrorig_protocol.errors import GyrorigError
 from gyrorig_protocol.identity import BoardId
 from gyrorig_protocol.recording.recording import Recording
+from gyrorig_protocol.recording.recording_names import distinct_names
 from gyrorig_solver.data.utc_time import utc_text_now
 from gyrorig_solver.discover import explain_jointly
 from gyrorig_solver.estimate import ConvergedFit
@@ -204,7 +205,12 @@ def build_document(
     metadata = explanation.recordings[0].metadata.get(f"gyrorig.board.{explanation.board}", {})
     origin = FindingsOrigin(
         board=BoardEntry(str(explanation.board), metadata.get("sensor", "")),
-        recordings=[InputEntry(r.path.name, r.sha256) for r in explanation.recordings],
+        recordings=[
+            InputEntry(name, recording.sha256)
+            for name, recording in zip(
+                distinct_names(explanation.recordings), explanation.recordings, strict=True
+            )
+        ],
         created=utc_text_now(),
         software=installed_version("gyrorig"),
     )

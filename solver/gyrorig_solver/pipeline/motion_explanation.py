@@ -72,11 +72,10 @@ def _setup_remarks(data: BoardData, fit_explanation: FitExplanation) -> list[str
     if level is not None:
         remarks.append(level_sentence(level_record(level)))
     if len(data.recordings) > 1:
-        for recording, session in zip(data.recordings, sessions, strict=True):
+        for name, session in zip(data.names, sessions, strict=True):
             bias = ", ".join(f"{v:+.4f}" for v in np.degrees(session.bias_rad_s))
             remarks.append(
-                f"{recording.path.name}: bias {bias} deg/s, "
-                f"time offset {1e3 * session.time_offset_s:.2f} ms"
+                f"{name}: bias {bias} deg/s, time offset {1e3 * session.time_offset_s:.2f} ms"
             )
     return remarks
 

@@ -2,17 +2,38 @@
 
 from abc import abstractmethod
 from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 from gyrorig_protocol.recording.recording import Recording
 from gyrorig_solver.data.samples import GyroSamples
 from gyrorig_solver.discover import MotionFitSpace, criticise_fit, explain_fit
-from gyrorig_solver.estimate import FittedTerm, GyroFit
+from gyrorig_solver.estimate import ConvergedFit, FittedTerm, GyroFit
 from gyrorig_solver.pipeline.board_data import BoardData
 from gyrorig_solver.pipeline.board_results import BoardExplanation, CriticisedFit
+from gyrorig_solver.pipeline.gain_fit import GainFit
 from gyrorig_solver.pipeline.motion_explanation import explain_motion
 from gyrorig_solver.pipeline.prepare_board import fit_base, prepare_board
 from gyrorig_solver.pipeline.reference_kind import ReferenceKind
 from gyrorig_solver.reference import ReferenceMotion
+from gyrorig_solver.uncertainty import GainEstimate
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MotionGainFit(GainFit):
+    """The fit of one recording to its motion."""
+
+    solution: ConvergedFit
+    board: str
+
+    @property
+    def converged(self) -> bool:
+        return self.solution.converged
+
+    def estimate(self, name: str, with_causes: bool) -> GainEstimate:
+        return GainEstimate.of(name, self.solution, with_causes)
+
+    def searched(self) -> "MotionGainFit":
+        return replace(self, solution=explain_fit(self.solution, self.board).solution_extended)
 
 
 class MotionKind(ReferenceKind):
@@ -43,6 +64,13 @@ class MotionKind(ReferenceKind):
         search = explanation.fit_explanation
         solution = prepared.solve() if requested or search is None else search.solution_extended
         return CriticisedFit(prepared.summarize(solution), solution, explanation)
+
+    def fit_gain(self, data: BoardData, index: int) -> GainFit | None:
+        session = data.sessions[index]
+        single = BoardData(data.board, session[:1], (data.samples[index],), (session,))
+        if not self.is_given(single):
+            return None
+        return MotionGainFit(fit_base(single), data.board)
 
     def explain(self, data: BoardData, held_out: Recording | None) -> BoardExplanation:
         return explain_motion(data, explain_fit(fit_base(data), data.board), held_out)

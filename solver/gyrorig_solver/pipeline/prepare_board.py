@@ -74,8 +74,8 @@ def prepare_board(
         UsageError: the recordings cannot be solved together, or a cause is unknown.
     """
     warnings: list[str] = []
-    for recording, _, reference in data.sessions:
-        prefix = f"{recording.path.name}: " if len(data.sessions) > 1 else ""
+    for name, (_, _, reference) in zip(data.names, data.sessions, strict=True):
+        prefix = f"{name}: " if len(data.sessions) > 1 else ""
         if isinstance(reference, PanTiltReference | CountedReference):
             warnings += [prefix + text for text in reference.warnings]
     selection = select_terms(data.sessions, extend, named_terms)

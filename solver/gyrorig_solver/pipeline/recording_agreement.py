@@ -4,19 +4,12 @@ A model with one gain has no causes for two gains. A search would try every caus
 and name a wrong one.
 """
 
-from collections.abc import Iterable
 from dataclasses import replace
 
 from gyrorig_protocol.errors import InputError, UsageError
-from gyrorig_solver.discover import explain_fit
-from gyrorig_solver.estimate import ConvergedFit
-from gyrorig_solver.pipeline.board_data import BoardData, has_unit
-from gyrorig_solver.pipeline.prepare_board import fit_base
-from gyrorig_solver.uncertainty.gain_agreement import (
-    GainDisagreement,
-    GainEstimate,
-    compare_gains,
-)
+from gyrorig_solver.pipeline.board_data import BoardData
+from gyrorig_solver.pipeline.gain_fit import GainFit
+from gyrorig_solver.uncertainty.gain_agreement import GainDisagreement, compare_gains
 
 MAX_SIGMA_STATED = 1000.0
 
@@ -24,15 +17,17 @@ MAX_SIGMA_STATED = 1000.0
 def require_agreement(data: BoardData) -> BoardData:
     """Return the data of recordings whose gains agree.
 
-    Each recording of a unit is fitted alone. If the gains differ by more than noise, causes are
-    searched in each recording alone, and the gains with these causes are compared by their total
-    uncertainty.
+    Each recording that determines a gain is fitted alone. If the gains differ by more than noise,
+    causes are searched in each recording alone, and the gains with these causes are compared by
+    their total uncertainty.
 
     Args:
         data: of one board. With `allows_contradiction` a contradiction becomes a remark.
 
     Raises:
-        UsageError: two recordings contradict each other.
+        InputError: there is no reference.
+        UsageError: two recordings contradict each other, their settings differ, or one is given
+            twice.
     """
     if data.comparison is not None or len(data.recordings) < 2:
         return data
@@ -51,44 +46,35 @@ def require_agreement(data: BoardData) -> BoardData:
 
 
 def find_disagreement(data: BoardData) -> GainDisagreement | None:
-    """Return the recordings of a board that contradict each other most, None if all agree."""
-    if not any(has_unit([recording]) for recording in data.recordings):
-        return None
-    singles = {
-        single.recordings[0].path.name: single
-        for single in _split(data)
-        if has_unit(single.recordings)
-    }
-    fits = {name: fit for name, single in singles.items() if (fit := _fit_alone(single))}
+    """Return the recordings of a board that contradict each other most, None if all agree.
+
+    Raises:
+        InputError: there is no reference.
+        UsageError: the settings of the board differ, or a recording is given twice.
+    """
+    data.check_recordings()
+    # A list, because two recordings can have the same name.
+    fits = [
+        (name, fit) for k, name in enumerate(data.names) if (fit := _fit_alone(data, k)) is not None
+    ]
     if len(fits) < 2:
         return None
-    if compare_gains([GainEstimate.of(*item, with_causes=False) for item in fits.items()]) is None:
-        return None
-    if compare_gains([GainEstimate.of(*item, with_causes=True) for item in fits.items()]) is None:
-        return None
-    explained = {name: explain_fit(fit, data.board).solution_extended for name, fit in fits.items()}
+    for with_causes in (False, True):
+        if compare_gains([fit.estimate(name, with_causes) for name, fit in fits]) is None:
+            return None
+    searched = [(name, fit.searched()) for name, fit in fits]
     return compare_gains(
-        [
-            GainEstimate.of(*item, with_causes=True)
-            for item in explained.items()
-            if item[1].converged
-        ]
+        [fit.estimate(name, with_causes=True) for name, fit in searched if fit.converged]
     )
 
 
-def _split(data: BoardData) -> Iterable[BoardData]:
-    """Return the data of each recording alone."""
-    for session, samples in zip(data.sessions, data.samples, strict=True):
-        yield BoardData(data.board, (session[0],), (samples,), (session,))
-
-
-def _fit_alone(data: BoardData) -> ConvergedFit | None:
+def _fit_alone(data: BoardData, index: int) -> GainFit | None:
     """Return the fit of one recording, None if the recording cannot be fitted alone."""
     try:
-        fit = fit_base(data)
+        fit = data.kind.fit_gain(data, index)
     except InputError:
         return None
-    return fit if fit.converged else None
+    return fit if fit is not None and fit.converged else None
 
 
 def _problem(disagreement: GainDisagreement, board: str) -> str:

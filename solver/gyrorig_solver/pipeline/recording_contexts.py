@@ -7,6 +7,7 @@ import numpy as np
 
 from gyrorig_protocol.errors import InputError
 from gyrorig_protocol.recording.recording import Recording
+from gyrorig_protocol.recording.recording_names import distinct_names
 from gyrorig_solver.data.metadata_numbers import positive_number
 from gyrorig_solver.data.samples import GyroSamples
 from gyrorig_solver.data.samples import mean_temperature_degc as mean_of
@@ -30,9 +31,12 @@ def read_contexts(
         InputError: the metadata have impossible values.
     """
     reference_degc = mean_of([s for _, s, _ in recordings]) if mean_degc is None else mean_degc
+    names = distinct_names([recording for recording, _, _ in recordings])
     return [
-        replace(_recording_context(*recording, reference_degc), recording_index=k)
-        for k, recording in enumerate(recordings)
+        replace(
+            _recording_context(*recording, reference_degc), recording_index=k, recording_name=name
+        )
+        for k, (recording, name) in enumerate(zip(recordings, names, strict=True))
     ]
 
 
@@ -91,5 +95,4 @@ def _recording_context(
         quantum_rad_s=samples.quantum_rad_s,
         sample_period_s=samples.period_s,
         mean_duration_s=mean_duration_s(samples),
-        recording_name=recording.path.name,
     )

@@ -24,6 +24,7 @@ from gyrorig_solver.pipeline.board_results import (
     check_fitted_gain,
     check_raw_streams,
 )
+from gyrorig_solver.pipeline.gain_fit import GainFit
 from gyrorig_solver.reference import ReferenceMotion
 
 NO_RATES_REMARK = (
@@ -101,6 +102,21 @@ class ReferenceKind(ABC):
             fit_explanation=None,
             fit=fit,
         )
+
+    def fit_gain(self, data: BoardData, index: int) -> GainFit | None:
+        """Return the fit of one recording alone, None if it determines no gain.
+
+        The gains of several recordings are compared before they are fitted together.
+
+        Args:
+            data: of the board.
+            index: of the recording.
+
+        Raises:
+            InputError: the data of this recording are not sufficient.
+        """
+        del data, index
+        return None
 
     def read_motion(self, recording: Recording, samples: GyroSamples) -> ReferenceMotion | None:
         """Return the motion on the samples' time axis, None if it is not known at each time."""

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from gyrorig_protocol.recording.recording_names import distinct_names
 from gyrorig_solver.data import FloatArray
 from gyrorig_solver.data.samples import GyroSamples
 from gyrorig_solver.data.stream.count_stream import subtract_rates
@@ -70,7 +71,7 @@ def measure_rests(sessions: Sequence[Session]) -> RestWindows | None:
         return None
     known = [window for window in windows if window is not None]
     return RestWindows(
-        tuple(recording.path.name for recording, _, _ in sessions),
+        distinct_names([recording for recording, _, _ in sessions]),
         tuple(time_s for time_s, _ in known),
         tuple(bias for _, bias in known),
         step_s,

@@ -37,7 +37,7 @@ from gyrorig_solver.calibration.total_uncertainty import with_total_uncertainty
 from gyrorig_solver.calibration.unexplained_effect import widen_by_unexplained
 from gyrorig_solver.estimate import GyroFit
 from gyrorig_solver.findings import to_yaml as findings_yaml
-from gyrorig_solver.findings.findings_builder import unexplained_bias_sigma
+from gyrorig_solver.findings import unexplained_bias_sigma
 from gyrorig_solver.model.catalogue import catalogue
 from gyrorig_solver.pipeline.assessed_fit import AssessedFit, add_to_unit, assess_fit
 from gyrorig_solver.pipeline.board_data import BoardData, load_board

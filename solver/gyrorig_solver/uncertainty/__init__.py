@@ -6,6 +6,7 @@ limits of the verdict; `marginal_covariance` for the algebra of the total uncert
 `mixture_interval` for that of the intervals.
 """
 
+from gyrorig_solver.uncertainty.gain_agreement import GainEstimate
 from gyrorig_solver.uncertainty.uncertainty_budget import (
     OtherEntry,
     UncertaintyBudget,
@@ -20,6 +21,7 @@ from gyrorig_solver.uncertainty.uncertainty_settings import (
 from gyrorig_solver.uncertainty.unit_values import UnitPosterior
 
 __all__ = [
+    "GainEstimate",
     "OtherEntry",
     "UncertaintyBudget",
     "UncertaintySettings",

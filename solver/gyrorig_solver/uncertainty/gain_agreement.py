@@ -5,14 +5,15 @@ uncertainty. This uncertainty contains the noise, the causes that the recordings
 the change of the scale factors between two temperatures. Bias and time offset can change between
 recordings, so they are not compared.
 
-What to use when: `GainEstimate.of` for the fit of one recording, `compare_gains` for several.
+What to use when: `GainEstimate.of` for the fit of one recording to its motion,
+`GainEstimate.of_fit` for a fit to another reference, `compare_gains` for several.
 
 Source: the normalised error of two results, JCGM 100:2008 and ISO 13528, extended to nine
 parameters: a chi-squared test of their difference.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import Self
 
@@ -25,6 +26,7 @@ from gyrorig_solver.estimate import (
     GAIN_PARAMETERS,
     SESSION_PARAMETERS,
     ConvergedFit,
+    GyroFit,
     widen_uncertainty,
 )
 from gyrorig_solver.model import find_term
@@ -76,6 +78,53 @@ class GainEstimate:
             np.isfinite(calibration.std[:GAIN_PARAMETERS]),
             float("nan") if temperature is None else temperature.mean_degc,
         )
+
+    @classmethod
+    def of_fit(
+        cls,
+        name: str,
+        fit: GyroFit,
+        budget: UncertaintyBudget | None = None,
+        temperature_degc: float = float("nan"),
+    ) -> Self:
+        """Return the gain of a fit to a reference that does not give the rate at each time.
+
+        Args:
+            name: of the recording.
+            fit: of this recording alone.
+            budget: of the causes that the fit has not identified; None: they are left out.
+            temperature_degc: mean of the recording, NaN if it is not known.
+        """
+        names = CALIBRATION_PARAMETERS[:GAIN_PARAMETERS]
+        is_known = np.array([np.isfinite(fit.std.get(key, np.nan)) for key in names])
+        covariance = np.zeros((GAIN_PARAMETERS, GAIN_PARAMETERS))
+        rows = np.flatnonzero(is_known)
+        stated = [fit.order.index(names[k]) for k in rows]
+        covariance[np.ix_(rows, rows)] = fit.covariance[np.ix_(stated, stated)]
+        if budget is not None:
+            covariance += _cause_covariance(budget)[:GAIN_PARAMETERS, :GAIN_PARAMETERS]
+        values = np.array([fit.value(key) for key in names])
+        return cls(name, values, covariance, is_known, temperature_degc)
+
+    def widened_by_rate(self, rate_range_rad_s: tuple[float, float]) -> Self:
+        """Return the estimate with the prior sizes of scale errors that depend on the rate.
+
+        Two recordings at different rates can have different scale factors. A fit to the angle of
+        each turn does not show such a cause, therefore its whole prior size counts.
+
+        Args:
+            rate_range_rad_s: smallest and largest rate of the recording.
+        """
+        largest_rad_s = max(map(abs, rate_range_rad_s))
+        prior_sizes = default_settings().prior_sizes
+        variance = sum(
+            (prior.std * largest_rad_s**power) ** 2
+            for cause, prior in prior_sizes.items()
+            if (power := find_term(cause).scale_rate_power) is not None
+        )
+        covariance = self.covariance.copy()
+        covariance[SCALES, SCALES] += variance * np.eye(3)
+        return replace(self, covariance=covariance)
 
 
 @dataclass(frozen=True, slots=True)

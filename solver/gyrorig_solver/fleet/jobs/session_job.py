@@ -43,6 +43,7 @@ from gyrorig_solver.pipeline import (
     fit_together,
     solve_and_store,
 )
+from gyrorig_solver.pipeline.one_board import check_stored_board
 from gyrorig_solver.pipeline.solve_board import likelihood_settings
 from gyrorig_solver.storage import (
     Storage,
@@ -366,17 +367,11 @@ def _check_newest_versions(
     """
     newest = store.versions(board)[-VERSIONS_CHECKED:]
     digests = {recording.sha256 for recording in holding}
-    uid = holding[0].metadata.get(f"gyrorig.board.{board}", {}).get("uid", "")
     config = job.settings.config_sha256
     for stored in reversed(newest):
         calibration = _parse_cached(stored.data(), str(stored.path))
-        if stored is newest[-1] and calibration.board.has_other_uid(uid):
-            raise InputError(
-                f"board {board} has the uid {uid[:40]!r} in the recording, but "
-                f"{calibration.board.uid[:40]!r} in the store, so two boards have the same "
-                "name",
-                "give one of the two boards another `id` in its rig file",
-            )
+        if stored is newest[-1]:
+            check_stored_board(calibration.board, holding)
         same_inputs = {recorded.sha256 for recorded in calibration.inputs} == digests
         same_solver = calibration.solver.version == job.settings.solver_version
         if same_inputs and same_solver and calibration.solver.config_sha256 == config:

@@ -25,6 +25,7 @@ class ScaleAsymmetry(LinearTerm):
     parameters = (size_parameter("share", "1", XYZ, typical=2e-3, limit=0.05, prior_std=0.02),)
     confused_with = ("scale_quadratic", "vibration_rectification", "motor_coupling")
     remedy = "let `gyrorig solve` fit this cause, because it is a property of the sensor"
+    scale_rate_power = 0
     covariates = RATE_COVARIATES
     picture = BinnedDependence("mean", "own_rate")
     excitation = "both directions at four or more speeds, including slow ones"

@@ -30,6 +30,7 @@ class ScaleCubic(LinearTerm):
     )
     confused_with = ("scale_quadratic", "saturation", "scale_asymmetry")
     remedy = "use a larger full scale, or let `gyrorig solve` fit this cause"
+    scale_rate_power = 2
     covariates = RATE_COVARIATES
     picture = BinnedDependence("mean", "own_rate")
     excitation = "four or more speeds, the fastest above 200 deg/s"

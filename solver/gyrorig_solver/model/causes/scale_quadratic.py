@@ -35,6 +35,7 @@ class ScaleQuadratic(LinearTerm):
         "scale_cubic",
     )
     remedy = "compare with a second board of this type, or let `gyrorig solve` fit this cause"
+    scale_rate_power = 1
     covariates = RATE_COVARIATES
     picture = BinnedDependence("mean", "own_rate")
     excitation = "both directions at four or more speeds, the fastest near full scale"

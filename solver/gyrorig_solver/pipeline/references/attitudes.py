@@ -1,6 +1,7 @@
 """Reference attitudes: motion capture, a robot arm, the pose of a vehicle."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -8,6 +9,7 @@ from gyrorig_protocol.errors import UsageError
 from gyrorig_protocol.identity import BoardId
 from gyrorig_protocol.recording.messages import REFERENCE_ATTITUDE_TOPIC
 from gyrorig_protocol.recording.recording import Recording, times_ns
+from gyrorig_solver.calibration.unexplained_effect import widen_by_unexplained
 from gyrorig_solver.data.metadata_numbers import positive_number
 from gyrorig_solver.data.samples import GyroSamples
 from gyrorig_solver.discover import AttitudeFitSpace, criticise_fit
@@ -20,6 +22,7 @@ from gyrorig_solver.discover.attitude.explain_attitudes import (
     extend_attitudes,
 )
 from gyrorig_solver.estimate import FittedTerm, GyroFit
+from gyrorig_solver.findings import unexplained_bias_sigma
 from gyrorig_solver.model import find_term
 from gyrorig_solver.pipeline.board_data import BoardData, load_board
 from gyrorig_solver.pipeline.board_results import (
@@ -29,11 +32,48 @@ from gyrorig_solver.pipeline.board_results import (
     check_fitted_gain,
     check_raw_streams,
 )
+from gyrorig_solver.pipeline.gain_fit import GainFit
 from gyrorig_solver.pipeline.recording_contexts import read_contexts
 from gyrorig_solver.pipeline.reference_kind import ReferenceKind
 from gyrorig_solver.pipeline.term_selection import check_fittable
 from gyrorig_solver.reference import AttitudeReference, read_attitude
 from gyrorig_solver.report.report_series import series_of_attitudes
+from gyrorig_solver.uncertainty import GainEstimate, assess_space
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class AttitudeGainFit(GainFit):
+    """The fit of one recording to its reference attitudes."""
+
+    recording: AttitudeRecording
+    space: AttitudeFitSpace
+    fit: GyroFit
+    bias_sigma: float = 0.0  # by an effect that the search found and could not name
+
+    @property
+    def converged(self) -> bool:
+        return self.space.at.solved.solver.converged
+
+    def estimate(self, name: str, with_causes: bool) -> GainEstimate:
+        temperature = self.recording.context.temperature
+        return GainEstimate.of_fit(
+            name,
+            self.fit,
+            widen_by_unexplained(assess_space(self.space), self.fit, self.bias_sigma)
+            if with_causes
+            else None,
+            float("nan") if temperature is None else temperature.mean_degc,
+        )
+
+    def searched(self) -> "AttitudeGainFit":
+        explanation = explain_attitudes([self.recording])
+        unexplained = explanation.findings.unexplained
+        return AttitudeGainFit(
+            self.recording,
+            explanation.space,
+            explanation.fit,
+            0.0 if unexplained is None else unexplained_bias_sigma(unexplained),
+        )
 
 
 class AttitudeKind(ReferenceKind):
@@ -80,6 +120,14 @@ class AttitudeKind(ReferenceKind):
             attitude_space=extended,
         )
 
+    def fit_gain(self, data: BoardData, index: int) -> GainFit | None:
+        recordings, samples = data.recordings[index : index + 1], data.samples[index : index + 1]
+        attitudes = load_attitude_recordings(BoardData(data.board, recordings, samples))
+        if not attitudes:
+            return None
+        space = fit_attitude_space(attitudes)
+        return AttitudeGainFit(attitudes[0], space, space.fit)
+
     def explain(self, data: BoardData, held_out: Recording | None) -> BoardExplanation:
         usable = tuple(r for r in data.recordings if has_attitudes(r))
         held = [] if held_out is None else _load_held_out(held_out, data.board)
@@ -115,8 +163,8 @@ def _extended_space(
 def _left_out_remarks(data: BoardData) -> tuple[str, ...]:
     """Return a remark for each recording that the fit does not use."""
     return tuple(
-        f"the recording {recording.path.name} was left out, because it has no reference attitudes"
-        for recording in data.recordings
+        f"the recording {name} was left out, because it has no reference attitudes"
+        for name, recording in zip(data.names, data.recordings, strict=True)
         if not has_attitudes(recording)
     )
 
@@ -157,7 +205,7 @@ def load_attitude_recordings(data: BoardData) -> list[AttitudeRecording]:
     ]
     return [
         AttitudeRecording(
-            recording.path.name, samples, attitude_reference(recording, samples), context
+            context.recording_name, samples, attitude_reference(recording, samples), context
         )
         for (recording, samples, _), context in zip(loaded, read_contexts(loaded), strict=True)
     ]

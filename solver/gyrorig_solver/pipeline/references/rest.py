@@ -44,6 +44,9 @@ class RestKind(MotionKind):
         check_rests(recording, samples, rests)
         return RestReference(rests)
 
+    def fit_gain(self, data: BoardData, index: int) -> None:
+        """Return None, because rest shows no gain."""
+
     def fit(
         self, data: BoardData, extend: Sequence[str] = (), named_terms: Sequence[FittedTerm] = ()
     ) -> GyroFit:

@@ -1,0 +1,96 @@
+"""Refuse recordings of two boards with one name, and of one board with two settings.
+
+What to use when: `check_same_board` before recordings are fitted together,
+`check_stored_board` before a version is added to a store.
+"""
+
+from collections.abc import Sequence
+
+from gyrorig_protocol.errors import InputError, UsageError
+from gyrorig_protocol.recording.recording import Recording
+from gyrorig_solver.calibration.calibration_document import (
+    UNKNOWN_IDENTITIES,
+    BoardRecord,
+    are_different,
+)
+from gyrorig_solver.data.samples import GyroSamples
+
+IDENTITIES = ("uid", "sensor")
+# Settings that the fit uses: a setting in only one of two recordings is a difference.
+FITTED_SETTINGS = ("gyro_scale_rad_s", "gyro_full_scale_dps", "bandwidth_hz")
+# Settings that `gyrorig apply` and the drift charts compare too. Older recordings lack them.
+OTHER_SETTINGS = ("odr_hz", "config_hash")
+
+
+def check_same_board(names: Sequence[str], samples: Sequence[GyroSamples]) -> None:
+    """Check that recordings are of one board with the same settings.
+
+    A uid or a sensor that is not known can be that of any board.
+
+    Args:
+        names: of the recordings.
+        samples: of the board in each of them.
+
+    Raises:
+        UsageError: uid, sensor or a setting differs.
+    """
+    for key in IDENTITIES:
+        seen: tuple[str, str] | None = None  # the first known identity, and its recording
+        for name, recorded in zip(names, samples, strict=True):
+            identity = recorded.metadata.get(key, "")
+            if seen is not None and are_different(seen[0], identity):
+                raise UsageError(
+                    f"the {key} of board {recorded.board} is {seen[0]:.40} in the recording "
+                    f"{seen[1]}, and {identity:.40} in {name}, so two boards have the same name",
+                    "solve the recordings of each board separately, and give one of the two boards "
+                    "another `id` in its rig file",
+                )
+            if seen is None and identity not in UNKNOWN_IDENTITIES:
+                seen = identity, name
+    for key in (*FITTED_SETTINGS, *OTHER_SETTINGS):
+        _check_setting(key, names, samples)
+
+
+def check_stored_board(stored: BoardRecord, recordings: Sequence[Recording]) -> None:
+    """Check that each recording can be of the board that a store has under this name.
+
+    Args:
+        stored: the board of its newest version.
+        recordings: each with a board of this name.
+
+    Raises:
+        InputError: uid or sensor differs.
+    """
+    for recording in recordings:
+        metadata = recording.metadata.get(f"gyrorig.board.{stored.id}", {})
+        for key, known in (("uid", stored.uid), ("sensor", stored.sensor)):
+            identity = metadata.get(key, "")
+            if are_different(known, identity):
+                raise InputError(
+                    f"board {stored.id} has the {key} {identity[:40]!r} in the recording "
+                    f"{recording.path.name}, but {known[:40]!r} in the store, so two boards have "
+                    "the same name",
+                    "give one of the two boards another `id` in its rig file",
+                )
+
+
+def _check_setting(key: str, names: Sequence[str], samples: Sequence[GyroSamples]) -> None:
+    texts = [recorded.metadata.get(key) for recorded in samples]
+    given = [k for k, text in enumerate(texts) if text or key in FITTED_SETTINGS]
+    for k in given[1:]:
+        first, other = texts[given[0]], texts[k]
+        if _as_number(first) != _as_number(other):
+            raise UsageError(
+                f"the setting {key} of board {samples[k].board} differs: it is "
+                f"{first or 'not given'} in the recording {names[given[0]]}, and "
+                f"{other or 'not given'} in {names[k]}",
+                "solve these two recordings separately",
+            )
+
+
+def _as_number(text: str | None) -> float | str | None:
+    """Return a setting as a number, because `250` and `250.0` are the same; else as it is."""
+    try:
+        return float(text or "")
+    except ValueError:
+        return text
