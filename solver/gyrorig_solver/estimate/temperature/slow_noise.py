@@ -122,11 +122,17 @@ class SlowFit:
     covariance: FloatArray  # (3, q + 1, q + 1)
     noise: NoiseModel | None  # None without recordings
     run_std: FloatArray  # (3,), of the bias from one recording to the next
-    log_evidence: float  # nats, without the prior of the parameters that the caller profiles
+    # (3,), nats of each axis, without the prior of the parameters that the caller profiles
+    axis_evidence: FloatArray
     log_likelihood: float  # nats
     residual: FloatArray  # (rows, 3)
     variance: FloatArray  # (rows, 3)
     degrees: FloatArray  # (3,), effective degrees of freedom of the noise that limits the sizes
+
+    @property
+    def log_evidence(self) -> float:
+        """The evidence of all axes, nats."""
+        return float(self.axis_evidence.sum())
 
     @classmethod
     def solve(
@@ -198,7 +204,7 @@ def _summarize(
     precision = np.diag(np.append(design.prior_std, INTERCEPT_STD) ** -2.0)
     sizes, covariance = np.zeros((width + 1, 3)), np.zeros((3, width + 1, width + 1))
     run_std, degrees = np.zeros(3), np.zeros(3)
-    evidence = likelihood = 0.0
+    evidence, likelihood = np.zeros(3), 0.0
     for axis in range(3):
         root = variance[:, axis] ** -0.5
         whitened = np.concatenate([design.spectrum, np.zeros((len(rows), 1))], axis=1)
@@ -222,16 +228,16 @@ def _summarize(
         )
         likelihood += log_likelihood + mean_nats
         shrink = sizes[:-1, axis] / design.prior_std
-        evidence += log_likelihood + mean_nats - 0.5 * float(shrink @ shrink)
-        evidence += 0.5 * float(np.linalg.slogdet(covariance[axis])[1])
-        evidence -= float(np.sum(np.log(design.prior_std))) + np.log(INTERCEPT_STD)
+        evidence[axis] = log_likelihood + mean_nats - 0.5 * float(shrink @ shrink)
+        evidence[axis] += 0.5 * float(np.linalg.slogdet(covariance[axis])[1])
+        evidence[axis] -= float(np.sum(np.log(design.prior_std))) + np.log(INTERCEPT_STD)
         degrees[axis] = (
             max(groups - width - 1, 1)
             if noise is None
             else _noise_degrees(data, noise, axis, design.spectrum, covariance[axis][:-1, :-1])
         )
     if noise is not None:
-        evidence -= sum(0.5 * _prior_misfit(axis_levels) for axis_levels in noise.levels)
+        evidence -= [0.5 * _prior_misfit(axis_levels) for axis_levels in noise.levels]
     return SlowFit(
         sizes, covariance, noise, run_std, evidence, likelihood,
         rows - design.spectrum @ sizes[:-1], variance, degrees,

@@ -6,10 +6,12 @@ with a lag (`model.board_temperature`). The noise consists of white noise, flick
 walk, whose levels are estimated for each model (`slow_noise`). The curve with the largest evidence
 is used. The evidence of a model without dependence is computed in the same way, with the random
 walk that the data then need. A dependence is stated only if its evidence is larger by
-`MIN_EVIDENCE_NATS`.
+`MIN_EVIDENCE_NATS`. Two hypotheses are tested: all axes depend on the temperature, or one of them
+does. The second has a third of the evidence of an axis, because it can be any of the three.
 """
 
 import itertools
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -80,7 +82,7 @@ class TemperatureFit:
     lag_std_s: float
     hysteresis: Hysteresis | None  # None: no recording heats and cools
     run_std: FloatArray  # (3,), from one recording or row to the next; nan if there is only one
-    evidence_nats: float  # of the curve, relative to no dependence
+    evidence_nats: float  # of the curve, of all axes or of one, relative to no dependence
     statistic: float  # twice the gain of the log-likelihood
     range_degc: tuple[float, float]
     points: tuple[BiasPoint, ...]  # of the data, for figures
@@ -128,7 +130,7 @@ def fit_temperature(
     best = _choose(weights)
     basis, fit = bases[best], fits[best]
     # Use the curve with the largest evidence, because the selected one can be more complex.
-    evidence_nats = max(f.log_evidence for f in fits) - none.log_evidence
+    evidence_nats = max(_dependence_nats(f, none) for f in fits)
     spread = problem.spread_of_curves(basis, bases, fits, weights)
     hysteresis = None
     if loop:
@@ -142,6 +144,16 @@ def fit_temperature(
             fit, none = without, problem.fit(None, lag_s, loop=False)
     result = problem.summarize(basis, fit, none, lag_s, hysteresis, spread)
     return replace(result, evidence_nats=float(evidence_nats))
+
+
+def _dependence_nats(fit: SlowFit, none: SlowFit) -> float:
+    """Return the evidence of a dependence of all axes, or of that of one axis if it is larger.
+
+    An axis that does not depend on the temperature costs the evidence of its superfluous sizes. If
+    there are few data, this cost of two axes is larger than the evidence of the third.
+    """
+    axis_nats = fit.axis_evidence - none.axis_evidence
+    return max(float(axis_nats.sum()), float(axis_nats.max()) - math.log(axis_nats.size))
 
 
 def _curve_weights(bases: Sequence[CurveBasis], fits: Sequence[SlowFit]) -> FloatArray:
@@ -276,7 +288,7 @@ class _Problem:
             lag_std_s=float(np.hypot(lag_std_s, self.lag_spread_s)),
             hysteresis=hysteresis,
             run_std=np.full(3, np.nan) if is_one else fit.run_std,
-            evidence_nats=float(fit.log_evidence - none.log_evidence),
+            evidence_nats=_dependence_nats(fit, none),
             statistic=2.0 * (fit.log_likelihood - none.log_likelihood),
             range_degc=self.range_degc,
             points=self.points(lag_s),
