@@ -19,6 +19,7 @@ from gyrorig_solver.commands.terminal import Terminal, choice_option, folder_opt
 from gyrorig_solver.data.utc_time import utc_text_now
 from gyrorig_solver.pipeline.temperature_values import (
     UNITS,
+    check_same_calibrated_board,
     document_without_motion,
     read_values,
     with_temperature_curves,
@@ -36,7 +37,7 @@ from gyrorig_solver.report import ReportData, render_calibration
 @click.option(
     "--calibration",
     type=click.Path(path_type=Path, dir_okay=False),
-    help="Calibration whose gain is kept.  [default: the last one in VALUES]",
+    help="Calibration of the board, whose gain is kept.  [default: the last one in VALUES]",
 )
 @folder_option("calibrations", "Folder for the result, as of `gyrorig solve`.")
 @json_option
@@ -67,6 +68,14 @@ def temperature_command(
     document = rows.template
     if calibration is not None:
         document, _ = read_calibration(calibration)
+        if rows.template is not None:
+            check_same_calibrated_board(rows.template.board, document.board)
+        if board is not None and board != document.board.id:
+            raise UsageError(
+                f"the option --board names {board}, but the calibration {calibration.name} is of "
+                f"board {document.board.id}",
+                "give the calibration of this board with --calibration",
+            )
     if document is None:
         if board is None:
             raise UsageError(

@@ -23,6 +23,7 @@ from gyrorig_solver.calibration.calibration_document import (
     Matrices,
     ObservabilityRecord,
     Quality,
+    SolvedInput,
     SolverRecord,
     Trust,
     Units,
@@ -35,6 +36,7 @@ from gyrorig_solver.data.utc_time import utc_text_now
 from gyrorig_solver.estimate import TemperatureFit, fit_temperature
 from gyrorig_solver.estimate.temperature import BiasTable
 from gyrorig_solver.model import PARAMETER_GROUPS
+from gyrorig_solver.pipeline.common_uncertainty import combined_uncertainty, judge_again
 from gyrorig_solver.pipeline.temperature_table import AXES, read_table_rows, rounding_key
 
 UNITS = {"rad/s": 1.0, "deg/s": float(np.pi / 180.0), "deg/h": float(np.pi / 648000.0)}
@@ -57,6 +59,8 @@ class TemperatureValues:
     scale: FloatArray | None  # (n, 3); None if it is not given
     scale_std: FloatArray | None
     template: CalibrationDocument | None  # the last calibration among the inputs
+    calibrations: tuple[CalibrationDocument, ...] = ()  # all of them
+    is_from_calibrations: bool = False  # all values are
 
 
 def read_values(paths: Sequence[Path], unit: str) -> TemperatureValues:
@@ -68,10 +72,11 @@ def read_values(paths: Sequence[Path], unit: str) -> TemperatureValues:
 
     Raises:
         InputError: a file is neither, or it lacks a value.
-        UsageError: there are too few rows, or calibrations of several boards.
+        UsageError: there are too few rows, or calibrations of several boards, or of one board with
+            several settings.
     """
     rows: list[dict[str, float]] = []
-    template: CalibrationDocument | None = None
+    calibrations: list[CalibrationDocument] = []
     for number, path in enumerate(paths):
         if path.resolve() in [earlier.resolve() for earlier in paths[:number]]:
             raise UsageError(
@@ -81,13 +86,9 @@ def read_values(paths: Sequence[Path], unit: str) -> TemperatureValues:
             )
         if path.suffix in CALIBRATION_SUFFIXES:
             document, _ = read_calibration(path)
-            if template is not None and template.board.id != document.board.id:
-                raise UsageError(
-                    f"the calibrations are of different boards, {template.board.id} and "
-                    f"{document.board.id}",
-                    "give calibrations of one board",
-                )
-            template = document
+            for earlier_document in calibrations:
+                check_same_calibrated_board(earlier_document.board, document.board)
+            calibrations.append(document)
             rows.append(_calibration_row(document, path.name))
         else:
             rows += read_table_rows(path, UNITS[unit])
@@ -106,7 +107,34 @@ def read_values(paths: Sequence[Path], unit: str) -> TemperatureValues:
         bias_std,
         scale,
         scale_std,
-        template,
+        calibrations[-1] if calibrations else None,
+        tuple(calibrations),
+        len(calibrations) == len(paths),
+    )
+
+
+def check_same_calibrated_board(board: BoardRecord, other: BoardRecord) -> None:
+    """Check that two calibrations are of one board with the same settings.
+
+    Raises:
+        UsageError: id, uid, sensor or a setting differs; what is not known can be the same.
+    """
+    key = board.difference_from(other)
+    if key is None:
+        return
+    pair = [
+        getattr(record, key) if hasattr(record, key) else getattr(record.config, key)
+        for record in (board, other)
+    ]
+    if key == "id":
+        raise UsageError(
+            f"the calibrations are of different boards, {pair[0]} and {pair[1]}",
+            "give calibrations of one board",
+        )
+    raise UsageError(
+        f"the {key} of board {board.id} is {str(pair[0])[:40]} in one calibration, and "
+        f"{str(pair[1])[:40]} in another",
+        "give calibrations of one board with the same settings",
     )
 
 
@@ -165,10 +193,12 @@ def with_temperature_curves(
 ) -> CalibrationDocument:
     """Return a calibration with the curves of bias and scale of the values.
 
+    If all values are from calibrations that state a total uncertainty, the result states one, too.
+
     Raises:
         InputError: the values show no dependence on the temperature.
     """
-    degc = values.temperature_degc
+    degc, template = values.temperature_degc, document
     bias = fit_temperature([], table=BiasTable(degc, values.bias, values.bias_std))
     if bias is None or not bias.is_significant:
         raise InputError(
@@ -183,13 +213,7 @@ def with_temperature_curves(
         scale = fit_temperature([], table=table)
     if scale is not None and scale.is_significant:
         document = _with_parameter(document, "scale", scale, "1", mean)
-        seen = document.observability
-        hidden = [name for name in seen.unobservable if not name.startswith("scale.")]
-        document = msgspec.structs.replace(
-            document,
-            matrices=_matrices(document),
-            observability=msgspec.structs.replace(seen, unobservable=hidden),
-        )
+        document = _with_known_scale(document)
     record = TemperatureRecord(
         source=values.source,
         reference_degc=bias.reference_degc,
@@ -205,11 +229,40 @@ def with_temperature_curves(
     validity = Validity(
         document.validity.rate_rad_s, list(bias.range_degc), document.validity.config_hash
     )
+    fitted = ["bias"] if record.scale is None else ["bias", "scale"]
+    # Without the uncertainty of each value, that of the template is not stated, because it is about
+    # its values at its own temperature.
+    uncertainty = None
+    if values.is_from_calibrations:
+        uncertainty = combined_uncertainty(document, template, fitted, values.calibrations)
+    trust = document.trust
+    if uncertainty is not None:
+        trust = judge_again(trust, template.uncertainty, uncertainty)
     return msgspec.structs.replace(
         document,
+        inputs=_all_inputs([*values.calibrations, template]),
         temperature=record,
         validity=validity,
-        uncertainty=None,  # that of the template is about its values at its own temperature
+        uncertainty=uncertainty,
+        trust=trust,
+    )
+
+
+def _all_inputs(calibrations: Sequence[CalibrationDocument]) -> list[SolvedInput]:
+    """Return the recordings of all calibrations, each once."""
+    rows = {row.sha256: row for document in calibrations for row in document.inputs}
+    return list(rows.values())
+
+
+def _with_known_scale(document: CalibrationDocument) -> CalibrationDocument:
+    """Return a document in which the three scale factors count as determined."""
+    before = document.observability
+    hidden = [name for name in before.unobservable if not name.startswith("scale.")]
+    rank = min(before.of, before.rank + len(before.unobservable) - len(hidden))
+    return msgspec.structs.replace(
+        document,
+        matrices=_matrices(document),
+        observability=msgspec.structs.replace(before, rank=rank, unobservable=hidden),
     )
 
 
@@ -219,17 +272,20 @@ def _with_parameter(
     """Return a document with the value at the reference temperature, and its uncertainty."""
     std = fit.std(np.array([fit.reference_degc]))[0] * np.abs(factor)
     parameter = Parameter(value=(fit.value * factor).tolist(), std=std.tolist(), unit=unit)
-    matrix = np.array(document.covariance.matrix, dtype=np.float64)
-    for axis, axis_std in zip(AXES, std, strict=True):
-        entry = f"{name}.{axis}"
-        if entry in document.covariance.order:
-            k = document.covariance.order.index(entry)
-            matrix[k, :] = matrix[:, k] = 0.0
-            matrix[k, k] = axis_std**2
+    entries = [f"{name}.{axis}" for axis in AXES]
+    order = document.covariance.order
+    order = [*order, *(entry for entry in entries if entry not in order)]
+    before = np.array(document.covariance.matrix, dtype=np.float64)
+    matrix = np.zeros((len(order), len(order)))
+    matrix[: len(before), : len(before)] = before
+    for entry, axis_std in zip(entries, std, strict=True):
+        k = order.index(entry)
+        matrix[k, :] = matrix[:, k] = 0.0
+        matrix[k, k] = axis_std**2
     return msgspec.structs.replace(
         document,
         parameters={**document.parameters, name: parameter},
-        covariance=Covariance(document.covariance.order, matrix.tolist()),
+        covariance=Covariance(order, matrix.tolist()),
     )
 
 

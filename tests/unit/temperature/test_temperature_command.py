@@ -1,8 +1,10 @@
 """`gyrorig temperature`: curves from tables and calibrations, applied, and exported as C."""
 
 import json
+import math
 import shutil
 import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -14,10 +16,16 @@ import yaml
 from gyrorig_solver import Calibration, cli
 from gyrorig_solver.calibration import CalibrationDocument, parse_calibration
 from gyrorig_solver.calibration.calibration_document import (
+    BudgetRow,
+    Parameter,
     ParameterUncertainty,
+    Trust,
     UncertaintyRecord,
     calibration_as_yaml,
 )
+from gyrorig_solver.calibration.total_uncertainty import judge_total
+from gyrorig_solver.estimate import fit_temperature
+from gyrorig_solver.estimate.temperature import BiasTable
 from gyrorig_solver.export import ExportSource, export_text
 from gyrorig_solver.pipeline.temperature_values import (
     TemperatureValues,
@@ -115,7 +123,7 @@ def test_calibrations_at_several_temperatures(tmp_path: Path, capsys: Captured) 
         path.write_text(calibration_as_yaml(document))
         paths.append(str(path))
     document, _ = solved(paths, tmp_path / "cal", capsys)
-    # The total uncertainties of the inputs are about their values at their own temperatures.
+    # The inputs do not state the total uncertainty of y and z.
     assert document.uncertainty is None
     record = document.temperature
     assert record is not None
@@ -123,6 +131,147 @@ def test_calibrations_at_several_temperatures(tmp_path: Path, capsys: Captured) 
     slope = np.array(record.scale.coefficients)[0]
     np.testing.assert_allclose(slope, 0.004 / 25.0, rtol=0.05)
     assert document.board.id == "GY80-0007"
+
+
+TYPE_B_RAD_S = 1.7e-3  # common to all temperatures
+CAUSE = BudgetRow("bias.x", "g_sensitivity", "xz", TYPE_B_RAD_S, 0.9, "poses in all orientations")
+
+
+def write_calibrations(folder: Path, **changes: str) -> list[str]:
+    """Write calibrations at six temperatures; `changes`: of the board in the third one."""
+    good = parse_calibration(GOLDEN.read_bytes(), "good")
+    paths = []
+    for k, degc in enumerate([0.0, 10.0, 20.0, 30.0, 40.0, 50.0]):
+        bias = np.radians(true_bias_dps(degc)).tolist()
+        std = [3e-5] * 3
+        entries = {
+            f"bias.{axis}": ParameterUncertainty(
+                3e-5, TYPE_B_RAD_S, TYPE_B_RAD_S, [0.0, 0.0], 1.6e-3, "rad/s"
+            )
+            for axis in "xyz"
+        }
+        entries["scale.x"] = ParameterUncertainty(1e-4, 2e-4, 3e-4, [0.0, 0.0], 2e-3, "1")
+        record = UncertaintyRecord(2.0, entries, [CAUSE], "0" * 64, 0.954)
+        board = msgspec.structs.replace(good.board, **changes) if k == 2 else good.board
+        recording = msgspec.structs.replace(good.inputs[0], sha256=f"{k}" * 64)
+        document = msgspec.structs.replace(
+            good,
+            board=board,
+            inputs=[recording],
+            parameters=good.parameters | {"bias": Parameter(bias, std, "rad/s")},
+            quality=msgspec.structs.replace(good.quality, mean_temperature_degc=degc),
+            uncertainty=record,
+            trust=judge_total(Trust("good", []), record),
+        )
+        path = folder / f"v{k}.yaml"
+        path.write_text(calibration_as_yaml(document))
+        paths.append(str(path))
+    return paths
+
+
+def test_a_curve_has_the_type_b_uncertainty_of_its_calibrations(
+    tmp_path: Path, capsys: Captured, contract_judge: Path
+) -> None:
+    """Before, the result had the noise only, and the verdict of the last input."""
+    document, result = solved(write_calibrations(tmp_path), tmp_path / "cal", capsys)
+    record = document.uncertainty
+    assert record is not None
+    entry = record.parameters["bias.x"]
+    assert entry.type_b == TYPE_B_RAD_S  # not averaged
+    assert entry.total == pytest.approx(math.hypot(entry.type_a, TYPE_B_RAD_S))
+    std, value = document.parameters["bias"].std, document.parameters["bias"].value
+    assert isinstance(std, list)
+    assert isinstance(value, list)
+    assert entry.type_a == std[0]
+    assert sum(entry.interval) / 2.0 == pytest.approx(value[0])
+    assert record.parameters["scale.x"].type_b == 2e-4  # of the gain that is kept
+    assert [row.cause for row in record.budget] == ["g_sensitivity"]
+    assert document.trust.verdict == "limited"
+    (reason,) = document.trust.reasons  # that of the last input is not repeated
+    assert "the total standard uncertainty of bias." in reason
+    assert [row.sha256[0] for row in document.inputs] == list("012345")
+    subprocess.run([sys.executable, str(contract_judge), result["file"]], check=True)
+
+
+@pytest.mark.parametrize("key", ["uid", "sensor"])
+def test_calibrations_of_a_replaced_board_are_refused(
+    key: str, tmp_path: Path, capsys: Captured
+) -> None:
+    command = ["temperature", *write_calibrations(tmp_path, **{key: "another"})]
+    assert cli.run([*command, "--out", str(tmp_path / "cal")]) == 2
+    assert f"the {key} of board GY80-0007 is" in capsys.readouterr().err
+    paths = write_calibrations(tmp_path, **{key: "unknown"})
+    assert cli.run(["temperature", *paths, "--out", str(tmp_path / "cal")]) == 0
+
+
+def test_calibrations_with_two_settings_are_refused(tmp_path: Path, capsys: Captured) -> None:
+    paths = write_calibrations(tmp_path)
+    document = parse_calibration(Path(paths[2]).read_bytes(), "v2")
+    config = msgspec.structs.replace(document.board.config, gyro_full_scale_dps=125.0)
+    board = msgspec.structs.replace(document.board, config=config)
+    text = calibration_as_yaml(msgspec.structs.replace(document, board=board))
+    Path(paths[2]).write_text(text)
+    assert cli.run(["temperature", *paths, "--out", str(tmp_path / "cal")]) == 2
+    assert "the gyro_full_scale_dps of board GY80-0007 is" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("changes", [{"id": "B"}, {"uid": "another"}])
+def test_the_calibration_of_another_board_is_refused(
+    changes: dict[str, str], table: Path, tmp_path: Path, capsys: Captured
+) -> None:
+    good = parse_calibration(GOLDEN.read_bytes(), "good")
+    other = tmp_path / "other.yaml"
+    board = msgspec.structs.replace(good.board, **changes)
+    other.write_text(calibration_as_yaml(msgspec.structs.replace(good, board=board)))
+    command = ["temperature", "--calibration", str(other), "--out", str(tmp_path / "cal")]
+    assert cli.run([*command, *write_calibrations(tmp_path)]) == 2
+    assert "GY80-0007" in capsys.readouterr().err
+    status = cli.run([*command, str(table), "--board", "GY80-0007"])
+    assert status == (2 if "id" in changes else 0)
+    assert not (tmp_path / "cal" / "B").exists()
+
+
+def test_scale_factors_of_a_table_count_as_determined(
+    table: Path, tmp_path: Path, capsys: Captured
+) -> None:
+    document, _ = solved([str(table), "--board", "B"], tmp_path / "cal", capsys)
+    assert document.observability.rank == 6
+    names = {name for name in document.covariance.order if name.startswith("scale.")}
+    assert names == {"scale.x", "scale.y", "scale.z"}
+    assert not names & set(document.observability.unobservable)
+
+
+@pytest.mark.parametrize("axis", range(3))
+def test_one_axis_that_depends_on_the_temperature_is_enough(
+    axis: int, tmp_path: Path, capsys: Captured
+) -> None:
+    """Five rows and 100 standard uncertainties: the other two axes hid the third one."""
+    rng = np.random.default_rng(4)
+    degc = np.linspace(0.0, 40.0, 5)
+    bias = 0.1 + rng.normal(0.0, 0.004, (5, 3))
+    bias[:, axis] += 100 * 0.004 * (degc - 20.0) / 20.0
+    path = tmp_path / "chamber.csv"
+    names = "temperature_degc,bias_x,bias_y,bias_z"
+    rows = np.column_stack([degc, bias])
+    np.savetxt(path, rows, fmt="%.6f", delimiter=",", header=names, comments="")
+    document, _ = solved([str(path), "--board", "B"], tmp_path / "cal", capsys)
+    assert document.temperature is not None
+    assert document.temperature.bias is not None
+    slope = np.degrees(np.array(document.temperature.bias.coefficients)[0])
+    np.testing.assert_allclose(slope, np.eye(3)[axis] * 0.02, atol=2e-3)
+
+
+def test_a_constant_bias_shows_no_dependence() -> None:
+    rng = np.random.default_rng(5)
+    for count in (4, 5, 8):
+        for _ in range(20):
+            table = BiasTable(
+                np.linspace(0.0, 40.0, count), rng.normal(0.0, 1e-4, (count, 3)),
+                np.zeros((count, 3)),
+            )  # fmt: skip
+            fit = fit_temperature([], table=table)
+            assert fit is not None
+            assert not fit.is_significant
 
 
 def test_wrong_tables_are_one_line(table: Path, tmp_path: Path, capsys: Captured) -> None:
