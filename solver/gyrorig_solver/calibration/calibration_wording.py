@@ -170,7 +170,7 @@ def value_std_pairs(parameter: Parameter) -> list[tuple[float | None, float | No
     """Return (value, standard uncertainty) of each entry, in the document's unit."""
     value, std = parameter.value, parameter.std
     values = value if isinstance(value, list) else [value]
-    std_values = std if isinstance(std, list) else [std]
+    std_values = std if isinstance(std, list) else [std] * len(values)  # None: none is known
     return list(zip(values, std_values, strict=True))
 
 

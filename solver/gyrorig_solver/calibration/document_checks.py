@@ -10,7 +10,7 @@ used. It needs numpy alone.
 
 import re
 from collections.abc import Iterator, Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -47,7 +47,14 @@ def check_document(document: "CalibrationDocument", name: str) -> None:
     Raises:
         InputError: a name is not a plain word, or a list has another length.
     """
-    _reject(name, [*_name_problems(document), *_shape_problems(document)])
+    _reject(
+        name,
+        [
+            *_name_problems(document),
+            *_shape_problems(document),
+            *_uncertainty_problems(document),
+        ],
+    )
 
 
 def check_values(document: "CalibrationDocument", name: str) -> None:
@@ -94,8 +101,36 @@ def _shape_problems(document: "CalibrationDocument") -> Iterator[tuple[str, str]
         if len(figure.value) != _AXES:
             yield f"does not have three values of {name}", _SOLVE_AGAIN
     for name, matrix in _matrices(document).items():
-        if len(matrix) != _AXES or any(len(row) != _AXES for row in matrix):
+        if not _has_shape(matrix, (_AXES, _AXES)):
             yield f"does not have three rows of three numbers in {name}", _SOLVE_AGAIN
+
+
+def _uncertainty_problems(document: "CalibrationDocument") -> Iterator[tuple[str, str]]:
+    """Return the uncertainties whose shape is not that of their values."""
+    for name, parameter in document.parameters.items():
+        value, std = parameter.value, parameter.std
+        count = len(value) if isinstance(value, list) else None
+        if std is not None and (len(std) if isinstance(std, list) else None) != count:
+            yield f"does not have one standard uncertainty for each value of {name}", _SOLVE_AGAIN
+    if not _has_shape(document.covariance.matrix, (len(document.covariance.order),) * 2):
+        yield "does not have one row and one column of its covariance per parameter", _SOLVE_AGAIN
+    temperature = document.temperature
+    for name, curve in (
+        () if temperature is None else (("bias", temperature.bias), ("scale", temperature.scale))
+    ):
+        size = 0 if curve is None else len(curve.coefficients) + len(curve.knot_coefficients) + 1
+        if curve is not None and (
+            len(curve.knots_degc) != len(curve.knot_coefficients)
+            or not _has_shape(curve.covariance, (_AXES, size, size))
+        ):
+            yield f"has a curve of {name} whose lists do not have the same size", _SOLVE_AGAIN
+
+
+def _has_shape(nested: Sequence[Any], shape: tuple[int, ...]) -> bool:
+    """Return whether nested lists have this number of entries at each level."""
+    return len(nested) == shape[0] and (
+        len(shape) == 1 or all(_has_shape(part, shape[1:]) for part in nested)
+    )
 
 
 def _setting_problems(document: "CalibrationDocument") -> Iterator[tuple[str, str]]:

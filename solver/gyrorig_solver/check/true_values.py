@@ -98,7 +98,8 @@ def compare_calibrations(
 ) -> list[ParameterComparison]:
     """Return each base parameter of two calibrations of one board.
 
-    The standard uncertainty of a row is that of the difference, both taken as independent.
+    The standard uncertainty of a row is that of the difference, both taken as independent; None if
+    a calibration does not state it.
     """
     rows = []
     totals, other_totals = _totals(calibration), _totals(other)
@@ -117,7 +118,9 @@ def compare_calibrations(
                     name=name,
                     estimate=_scaled(value, group.factor),
                     truth=_scaled(other_value, group.factor),
-                    std=math.hypot(std or 0.0, other_std or 0.0) * group.factor or None,
+                    std=None
+                    if std is None or other_std is None
+                    else math.hypot(std, other_std) * group.factor or None,
                     unit=group.unit,
                     total=math.hypot(totals[name], other_totals[name]) * group.factor
                     if both
@@ -128,10 +131,20 @@ def compare_calibrations(
 
 
 def _true_values(board: Mapping[str, Any]) -> dict[str, FloatArray]:
-    factors = factorise(np.array(board["STM"], dtype=np.float64))
-    bias = board.get("mean_bias_rad_s", board["bias_rad_s"])
+    """Return the values of each group.
+
+    Raises:
+        KeyError, TypeError, ValueError: the document is not complete or not valid.
+    """
+    gain, bias = (
+        np.array(entry, dtype=np.float64)
+        for entry in (board["STM"], board.get("mean_bias_rad_s", board["bias_rad_s"]))
+    )
+    if gain.shape != (3, 3) or bias.shape != (3,):
+        raise ValueError("not three values of the bias, or not three rows of three gains")
+    factors = factorise(gain)
     return {
-        "bias": np.array(bias, dtype=np.float64),
+        "bias": bias,
         "scale": factors.scale,
         "nonorthogonality": factors.nonorthogonality,
         "misalignment": factors.misalignment_rad,
@@ -148,4 +161,7 @@ def _lag_s(board: Mapping[str, Any]) -> float:
     low_pass = board["low_pass"]
     if low_pass["kind"] != "butterworth" or low_pass["order"] != 2:
         raise ValueError("the low-pass filter is not a Butterworth filter of order 2")
-    return float(board["tau_s"]) + math.sqrt(2.0) / (2.0 * math.pi * float(low_pass["cutoff_hz"]))
+    cutoff_hz = float(low_pass["cutoff_hz"])
+    if not cutoff_hz > 0.0:
+        raise ValueError("the cutoff frequency is not positive")
+    return float(board["tau_s"]) + math.sqrt(2.0) / (2.0 * math.pi * cutoff_hz)

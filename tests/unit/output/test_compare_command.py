@@ -2,6 +2,7 @@
 
 import json
 from pathlib import Path
+from typing import Any
 
 import pytest
 import yaml
@@ -111,3 +112,85 @@ def test_another_kind_of_file_is_refused_in_one_line(
     error = capsys.readouterr().err
     assert error.count("\n") == 1
     assert "Traceback" not in error
+
+
+def damaged(source: Path, path: Path, *keys: str | int, value: Any) -> str:
+    """Write a document with one entry replaced, and return its file."""
+    document = yaml.safe_load(source.read_text(encoding="utf-8"))
+    entry = document
+    for key in keys[:-1]:
+        entry = entry[key]
+    entry[keys[-1]] = value
+    path.write_text(yaml.safe_dump(document, sort_keys=False), encoding="utf-8")
+    return str(path)
+
+
+@pytest.mark.parametrize(
+    ("keys", "value", "words"),
+    [
+        (("parameters", "bias", "std"), [1e-4, 1e-4], "each value of bias"),
+        (("parameters", "scale", "std"), [1e-4] * 4, "each value of scale"),
+        (("parameters", "misalignment", "std"), [], "each value of misalignment"),
+        (("parameters", "time_offset", "std"), [1e-4], "each value of time_offset"),
+        (("covariance", "matrix"), [[1.0]], "column of its covariance"),
+        (("covariance", "order"), ["bias.x"], "column of its covariance"),
+    ],
+)
+@pytest.mark.parametrize("command", ["compare", "report"])
+def test_a_list_of_another_length_is_one_line(
+    command: str,
+    keys: tuple[str, ...],
+    value: list[float],
+    words: str,
+    tmp_path: Path,
+    capsys: Captured,
+) -> None:
+    path = damaged(GOLDEN / "good.yaml", tmp_path / "bad.yaml", *keys, value=value)
+    others = [str(GOLDEN / "good.yaml")] if command == "compare" else []
+    capsys.readouterr()
+    assert cli.run([command, path, *others]) == 3
+    (line,) = capsys.readouterr().err.strip().splitlines()
+    assert words in line
+
+
+def test_an_uncertainty_that_is_not_stated_gives_no_sigma(tmp_path: Path, capsys: Captured) -> None:
+    """Before, the sigma was that of the other calibration alone."""
+    keys = ("parameters", "bias", "std")
+    path = damaged(GOLDEN / "good.yaml", tmp_path / "a.yaml", *keys, value=[None, 1e-4, 1e-4])
+    good = str(GOLDEN / "good.yaml")
+    for pair in ((path, good), (good, path)):
+        capsys.readouterr()
+        assert cli.run(["compare", *pair, "--json"]) == 0
+        rows = {row["name"]: row for row in json.loads(capsys.readouterr().out)["parameters"]}
+        assert rows["bias.x"]["std"] is None
+        assert rows["bias.y"]["std"] is not None
+    path = damaged(GOLDEN / "good.yaml", tmp_path / "b.yaml", *keys, value=None)
+    assert cli.run(["compare", path, good]) == 0
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        ("mean_bias_rad_s", [0.1, 0.2]),
+        ("STM", [[1.0, 0.0], [0.0, 1.0]]),
+        ("low_pass", {"kind": "butterworth", "order": 2, "cutoff_hz": 0.0}),
+        ("low_pass", {"kind": "butterworth", "order": 2, "cutoff_hz": -1.0}),
+    ],
+)
+def test_a_truth_with_another_shape_is_one_line(
+    key: str, value: Any, tmp_path: Path, capsys: Captured
+) -> None:
+    name = yaml.safe_load((GOLDEN / "good.yaml").read_text(encoding="utf-8"))["board"]["id"]
+    board = {
+        "STM": [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]],
+        "bias_rad_s": [0.0, 0.0, 0.0],
+        "tau_s": 0.001,
+        "low_pass": {"kind": "butterworth", "order": 2, "cutoff_hz": 20.0},
+    }
+    truth = tmp_path / "truth.yaml"
+    for change, status in (({}, 0), ({key: value}, 3)):
+        document = {"schema": "gyrorig/truth/1", "boards": {name: board | change}}
+        truth.write_text(yaml.safe_dump(document), encoding="utf-8")
+        capsys.readouterr()
+        assert cli.run(["compare", str(GOLDEN / "good.yaml"), str(truth)]) == status
+    assert "does not contain the true values" in capsys.readouterr().err

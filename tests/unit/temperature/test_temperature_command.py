@@ -142,8 +142,8 @@ def write_calibrations(folder: Path, **changes: str) -> list[str]:
     good = parse_calibration(GOLDEN.read_bytes(), "good")
     paths = []
     for k, degc in enumerate([0.0, 10.0, 20.0, 30.0, 40.0, 50.0]):
-        bias = np.radians(true_bias_dps(degc)).tolist()
-        std = [3e-5] * 3
+        bias: list[float | None] = np.radians(true_bias_dps(degc)).tolist()
+        std: list[float | None] = [3e-5] * 3
         entries = {
             f"bias.{axis}": ParameterUncertainty(
                 3e-5, TYPE_B_RAD_S, TYPE_B_RAD_S, [0.0, 0.0], 1.6e-3, "rad/s"
@@ -239,6 +239,18 @@ def test_scale_factors_of_a_table_count_as_determined(
     names = {name for name in document.covariance.order if name.startswith("scale.")}
     assert names == {"scale.x", "scale.y", "scale.z"}
     assert not names & set(document.observability.unobservable)
+
+
+@pytest.mark.parametrize("key", ["covariance", "coefficients"])
+def test_a_curve_whose_lists_have_another_size_is_refused(
+    key: str, table: Path, tmp_path: Path, capsys: Captured
+) -> None:
+    _, result = solved([str(table), "--board", "B"], tmp_path / "cal", capsys)
+    plain = yaml.safe_load(Path(result["file"]).read_text())
+    del plain["temperature"]["bias"][key][0]
+    (tmp_path / "bad.yaml").write_text(yaml.safe_dump(plain, sort_keys=False))
+    assert cli.run(["report", str(tmp_path / "bad.yaml")]) == 3
+    assert "a curve of bias whose lists" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("axis", range(3))
