@@ -114,13 +114,16 @@ def unit_document(
         recordings: the new ones.
         start_ns: start of the newest of them, since the epoch.
     """
-    start = utc_text(start_ns)
+    start, created = utc_text(start_ns), utc_text_now()
+    newest = start if before is None else max(start, before.as_of)
     return UnitPosteriorDocument(
         schema="gyrorig/unit/1",
         unit=unit,
         version=1 if before is None else before.version + 1,
-        created=utc_text_now(),
-        as_of=start if before is None else max(start, before.as_of),
+        created=created,
+        # A recording from the future is from a rig with a wrong clock. Its date would age the
+        # posterior for every later recording.
+        as_of=min(newest, created),
         names=list(unit_value_names()),
         units=list(unit_value_units()),
         mean=[float(value) for value in posterior.mean],

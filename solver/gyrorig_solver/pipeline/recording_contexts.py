@@ -30,6 +30,7 @@ def read_contexts(
     Raises:
         InputError: the metadata have impossible values.
     """
+    recordings = _with_comparable_temperatures(recordings)
     reference_degc = mean_of([s for _, s, _ in recordings]) if mean_degc is None else mean_degc
     names = distinct_names([recording for recording, _, _ in recordings])
     return [
@@ -37,6 +38,29 @@ def read_contexts(
             _recording_context(*recording, reference_degc), recording_index=k, recording_name=name
         )
         for k, (recording, name) in enumerate(zip(recordings, names, strict=True))
+    ]
+
+
+def _with_comparable_temperatures(
+    recordings: Sequence[tuple[Recording, GyroSamples, ReferenceMotion | None]],
+) -> Sequence[tuple[Recording, GyroSamples, ReferenceMotion | None]]:
+    """Return recordings without the readings that have no offset, if others have absolute ones.
+
+    Without an offset, only differences within the same thermometer are valid, so a mean of both
+    kinds is not a temperature.
+    """
+    measured = [s for _, s, _ in recordings if s.temperature_degc is not None]
+    if len({samples.has_absolute_temperature for samples in measured}) < 2:
+        return recordings
+    return [
+        (
+            recording,
+            samples
+            if samples.has_absolute_temperature
+            else replace(samples, temperature_degc=None),
+            motion,
+        )
+        for recording, samples, motion in recordings
     ]
 
 

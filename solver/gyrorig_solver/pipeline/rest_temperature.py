@@ -124,7 +124,9 @@ class RestTemperature:
             return None
         temperatures = [_temperature(samples) for _, samples, _ in data.sessions]
         known = tuple(temperature for temperature in temperatures if temperature is not None)
-        if len(known) < len(temperatures):
+        # Readings with and without an offset are not on one scale.
+        scales = {samples.has_absolute_temperature for _, samples, _ in data.sessions}
+        if len(known) < len(temperatures) or len(scales) > 1:
             return None
         series = [
             BiasSeries(name, time_s, bias, temperature, temperature.mean_degc)

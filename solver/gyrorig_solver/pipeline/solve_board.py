@@ -6,6 +6,7 @@ at the same time; `rebuild_report_data` for the report of a stored calibration.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from importlib.metadata import version as installed_version
 from pathlib import Path
 from typing import Any
@@ -104,6 +105,7 @@ def solve_and_store(
     fit: GyroFit | None = None
     explanation: BoardExplanation | None = None
     unit_version: int | None = None
+    add_unit: Callable[[], int | None] | None = None
     data = load_board(recordings, board, allow_contradiction)
     if method == "paper":
         document = _solve_by_paper(data)
@@ -114,15 +116,21 @@ def solve_and_store(
         knowledge = UnitKnowledge() if unit_knowledge is None else unit_knowledge
         assessed = assess_fit(data, criticised, settings, knowledge)
         fit = assessed.fit
-        unit_version = add_to_unit(data, criticised, assessed, settings, knowledge)
         document = _likelihood_document(data, extend, criticised, assessed)
+        add_unit = partial(add_to_unit, data, criticised, assessed, settings, knowledge)
 
     def text(version: int, previous: str | None) -> str:
         nonlocal document
         document = _as_version(document, version, previous)
         return calibration_as_yaml(document)
 
-    stored = store.add_version(board, text, before_writing)
+    def check_and_add_to_unit() -> None:
+        nonlocal unit_version
+        before_writing()  # its error prevents both versions
+        if add_unit is not None and unit_version is None:
+            unit_version = add_unit()
+
+    stored = store.add_version(board, text, check_and_add_to_unit)
     page = render_calibration(_report_data(document, fit))
     report = store.write_companion(stored, ".report.html", page.encode())
     if explanation is not None:  # v0001.findings.yaml and v0001.findings.html

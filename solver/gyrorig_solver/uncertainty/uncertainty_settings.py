@@ -92,11 +92,16 @@ class UncertaintySettings:
 
     @property
     def sha256(self) -> str:
-        """Digest of the prior sizes and the limits."""
+        """Digest of the prior sizes and the limits, and of the drifts if they are not the shipped.
+
+        Calibrations with the shipped drifts keep the digest that they had before it contained them.
+        """
         values = {
             "prior_sizes": {c: [p.size, p.probability] for c, p in self.prior_sizes.items()},
             "limits": dict(self.limits),
         }
+        if self.drifts != default_settings().drifts:
+            values["drifts"] = dict(self.drifts)
         return hashlib.sha256(msgspec.json.encode(values, order="deterministic")).hexdigest()
 
 

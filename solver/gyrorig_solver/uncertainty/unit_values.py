@@ -47,9 +47,23 @@ class UnitPosterior:
         return cls(np.zeros(len(covariance)), covariance)
 
     def after(self, days: float, settings: UncertaintySettings) -> Self:
-        """Return the posterior some days later: every size may have drifted as a random walk."""
+        """Return the posterior some days later: every size may have drifted as a random walk.
+
+        A size whose variance would be above that of an unknown unit is forgotten: it gets the prior
+        of the table, mean zero. A unit about which something was known is never less known than
+        another one.
+        """
         drift = np.diag(_drift_std(settings) ** 2) * max(days, 0.0)
-        return replace(self, covariance=self.covariance + drift)
+        mean, covariance, table = (
+            self.mean.copy(),
+            self.covariance + drift,
+            table_covariance(settings),
+        )
+        forgotten = np.diag(covariance) > np.diag(table)
+        mean[forgotten] = 0.0
+        covariance[forgotten, :] = covariance[:, forgotten] = 0.0
+        covariance[forgotten, forgotten] = np.diag(table)[forgotten]
+        return replace(self, mean=mean, covariance=covariance)
 
     def updated(self, information: "UnitInformation") -> Self:
         """Return the posterior with the information of one more recording."""

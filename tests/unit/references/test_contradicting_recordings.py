@@ -26,6 +26,7 @@ from gyrorig_solver.data.samples import GyroSamples
 from gyrorig_solver.pipeline.board_data import load_board
 from gyrorig_solver.pipeline.one_board import check_same_board, check_stored_board
 from gyrorig_solver.pipeline.recording_agreement import find_disagreement
+from gyrorig_solver.pipeline.recording_contexts import read_contexts
 
 GYRO = SimulatedGyro()
 Captured = pytest.CaptureFixture[str]
@@ -171,3 +172,23 @@ def test_each_recording_is_compared_with_the_store(tmp_path: Path) -> None:
 
 def replace_sensor(stored: BoardRecord, sensor: str) -> BoardRecord:
     return BoardRecord(stored.id, stored.uid, sensor, stored.config)
+
+
+def test_temperatures_without_an_offset_have_no_mean_with_others(tmp_path: Path) -> None:
+    """Readings of 3 K above an unknown zero, and of 25 degC, were averaged to 14 degC."""
+    recording = read_recording(attitudes(tmp_path / "1.mcap", GYRO, 1))
+    time_s, rate = np.arange(100.0), np.zeros((100, 3))
+    relative, absolute = (
+        replace(
+            plain_samples(time_s, rate),
+            temperature_degc=np.full(100, degc),
+            metadata=metadata,
+        )
+        for degc, metadata in ((3.0, {}), (25.0, {"temperature_offset_c": "21.0"}))
+    )
+    mixed = read_contexts([(recording, relative, None), (recording, absolute, None)])
+    assert mixed[0].temperature is None
+    assert mixed[1].temperature is not None
+    assert mixed[1].temperature.mean_degc == 25.0
+    same = read_contexts([(recording, relative, None), (recording, relative, None)])
+    assert all(context.temperature is not None for context in same)

@@ -82,3 +82,10 @@ def test_a_limit_is_in_the_unit_that_is_shown() -> None:
 def test_other_documents_are_refused(text: str, problem: str) -> None:
     with pytest.raises(UsageError, match=problem):
         parse_settings(f"{HEAD}{text}\n", "own.yaml")
+
+
+def test_other_drifts_are_other_settings() -> None:
+    drift = 'drift_per_day: {tilt_sag: {std: 0.02, unit: deg, reason: "measured"}}\n'
+    settings = parse_settings(HEAD + drift, "own.yaml")
+    assert settings.prior_sizes == default_settings().prior_sizes
+    assert settings.sha256 != default_settings().sha256

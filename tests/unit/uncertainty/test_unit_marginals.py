@@ -145,3 +145,17 @@ def test_an_old_posterior_widens_with_the_square_root_of_time() -> None:
     assert after_sixteen == pytest.approx(2.0 * after_four)
     assert after_four[0] == pytest.approx(2.0 * np.radians(0.001))
     assert np.all(after_four > 0.0)
+
+
+def test_an_old_posterior_is_never_wider_than_the_table() -> None:
+    """Before, a posterior of long ago gave larger uncertainties than none."""
+    settings = default_settings()
+    table = UnitPosterior.from_table(settings)
+    stored = UnitPosterior(np.full(SIZES, 1e-3), 0.01 * table.covariance)
+    year, century = (stored.after(days, settings) for days in (365.0, 36_500.0))
+    assert np.all(np.diag(year.covariance) <= np.diag(table.covariance))
+    is_table = np.diag(year.covariance) == np.diag(table.covariance)
+    assert 0 < is_table.sum() < SIZES
+    assert np.array_equal(year.mean == 0.0, is_table)
+    assert np.array_equal(century.covariance, table.covariance)
+    assert not century.mean.any()

@@ -7,8 +7,12 @@ from pathlib import Path
 import msgspec
 import numpy as np
 import pytest
+from tests.support.reference_recordings import BOARD, SimulatedGyro, record_rest
 
 from gyrorig_protocol.errors import InputError
+from gyrorig_protocol.identity import BoardId
+from gyrorig_protocol.recording.reader import read_recording
+from gyrorig_solver.calibration import CalibrationStore
 from gyrorig_solver.calibration.unit_document import (
     CountedRecording,
     UnitIdentity,
@@ -19,6 +23,7 @@ from gyrorig_solver.calibration.unit_document import (
     unit_document,
 )
 from gyrorig_solver.calibration.unit_store import StoredPosterior, UnitStore
+from gyrorig_solver.pipeline import solve_board
 from gyrorig_solver.pipeline.unit_prior import contradicts
 from gyrorig_solver.storage import Folder
 from gyrorig_solver.uncertainty import UnitPosterior, default_settings
@@ -186,3 +191,34 @@ def test_a_recording_that_contradicts_the_unit_is_noticed() -> None:
     assert not contradicts(prior, shows(0.0013, 1e-4))
     assert contradicts(prior, shows(0.0025, 1e-4))
     assert not contradicts(prior, replace(shows(0.0, 1.0), matrix=np.zeros((SIZE, SIZE))))
+
+
+def test_a_recording_from_the_future_does_not_age_the_posterior() -> None:
+    """The clock of one rig was wrong by decades."""
+    posterior = UnitPosterior.from_table(SETTINGS).updated(shows(0.0013, 1e-4))
+    wrong = unit_document(UNIT, posterior, None, [], 100 * 365 * DAY_NS)
+    assert wrong.as_of <= wrong.created
+    older = msgspec.structs.replace(wrong, as_of="2069-12-07T00:00:00Z")
+    later = unit_document(UNIT, posterior, older, [], 5 * DAY_NS)
+    assert later.as_of <= later.created
+
+
+def test_nothing_is_written_if_a_check_before_fails(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Before, the posterior of the unit was written before the check."""
+    path = record_rest(tmp_path / "rest.mcap", SimulatedGyro(), span_s=40.0)
+    added: list[bool] = []
+    monkeypatch.setattr(solve_board, "add_to_unit", lambda *_: added.append(True))
+    recordings = [read_recording(path)]
+    store = CalibrationStore(tmp_path / "out")
+
+    def refuse() -> None:
+        raise InputError("another board has this name", "rename it")
+
+    with pytest.raises(InputError, match="another board"):
+        solve_board.solve_and_store(store, recordings, BoardId(BOARD), before_writing=refuse)
+    assert added == []
+    assert not list((tmp_path / "out").rglob("*.yaml"))
+    solve_board.solve_and_store(store, recordings, BoardId(BOARD))
+    assert added == [True]
