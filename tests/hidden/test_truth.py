@@ -80,6 +80,7 @@ def test_users_cannot_hide_a_shape_outside_the_catalogue() -> None:
     assert shipped == {*PROGRAMS, "static"}
 
 
+@pytest.mark.long
 def test_the_same_seed_makes_the_same_bytes(tmp_path: Path) -> None:
     for name in ("first", "second"):
         session = draw_session(4, "nulls")
@@ -90,6 +91,7 @@ def test_the_same_seed_makes_the_same_bytes(tmp_path: Path) -> None:
         assert (first / name).read_bytes() == (second / name).read_bytes(), name
 
 
+@pytest.mark.long
 def test_draws_depend_only_on_the_seed() -> None:
     first, again, other = (
         draw_session(300_003, "mixed"),
