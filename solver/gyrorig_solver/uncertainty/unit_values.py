@@ -49,21 +49,23 @@ class UnitPosterior:
     def after(self, days: float, settings: UncertaintySettings) -> Self:
         """Return the posterior some days later: every size may have drifted as a random walk.
 
-        A size whose variance would be above that of an unknown unit is forgotten: it gets the prior
-        of the table, mean zero. A unit about which something was known is never less known than
-        another one.
+        A direction whose variance would be above that of an unknown unit is forgotten: it gets the
+        prior of the table, mean zero. A unit that was measured is never less known than a new one.
         """
-        drift = np.diag(_drift_std(settings) ** 2) * max(days, 0.0)
-        mean, covariance, table = (
-            self.mean.copy(),
-            self.covariance + drift,
-            table_covariance(settings),
+        covariance = self.covariance + np.diag(_drift_std(settings) ** 2) * max(days, 0.0)
+        table_std = np.sqrt(np.diag(table_covariance(settings)))
+        scale = np.where(table_std > 0.0, table_std, 1.0)  # 0: the settings leave the cause out
+        variances, directions = np.linalg.eigh(covariance / np.outer(scale, scale))
+        forgotten = variances > 1.0
+        if not forgotten.any():
+            return replace(self, covariance=covariance)
+        share = np.where(forgotten, 0.0, directions.T @ (self.mean / scale))
+        capped = (directions * np.minimum(variances, 1.0)) @ directions.T
+        return replace(
+            self,
+            mean=table_std * (directions @ share),
+            covariance=capped * np.outer(table_std, table_std),
         )
-        forgotten = np.diag(covariance) > np.diag(table)
-        mean[forgotten] = 0.0
-        covariance[forgotten, :] = covariance[:, forgotten] = 0.0
-        covariance[forgotten, forgotten] = np.diag(table)[forgotten]
-        return replace(self, mean=mean, covariance=covariance)
 
     def updated(self, information: "UnitInformation") -> Self:
         """Return the posterior with the information of one more recording."""
