@@ -3,15 +3,18 @@
 import numpy as np
 
 from gyrorig_protocol.recording.encoding.sensor_imu_packing import pack_sensor_imu
+from gyrorig_solver.data import FloatArray
 from gyrorig_solver.estimate.attitude.block_segments import AccelerometerReadings
 
 
 def test_a_covariate_is_interpolated_between_the_known_rows() -> None:
-    time_s = np.arange(100) * 0.01
-    force = np.stack([time_s, 2.0 * time_s, np.full(100, 9.81)], axis=1)
+    time_s: FloatArray = np.linspace(0.0, 0.99, 100)
+    force: FloatArray = np.outer(time_s, [1.0, 2.0, 0.0])
+    force[:, 2] = 9.81
     gaps = force.copy()
     gaps[1::2] = np.nan
     at = AccelerometerReadings(((time_s, gaps),)).at(0, time_s[:99])
+    assert at is not None
     np.testing.assert_allclose(at, force[:99], atol=1e-12)
 
 
