@@ -14,6 +14,8 @@ Row = Mapping[str, Any]
 GOAL = (0.93, 0.97)  # of 95 % intervals, set before the first run
 LEVEL = 0.95
 BOOTSTRAPS = 2000
+# The simulator gives every rig a small one: `LOG_SPEED_STD` of `serial_session` also acts on ramps.
+IN_EVERY_RIG = ("acceleration_error",)
 
 
 def solved(rows: Iterable[Row]) -> list[Row]:
@@ -197,7 +199,9 @@ def _cause_lines(rows: Sequence[Row]) -> list[str]:
         text = f"`{name}`" if name else "none"
         lines.append(f"| {text} | {len(chosen)} | {len(good)} | {named} | {shown} |")
     wrong = Counter(
-        cause for row in rows for cause in {*row["named"], *row["terms"]} - set(row["causes"])
+        cause
+        for row in rows
+        for cause in {*row["named"], *row["terms"]} - {*row["causes"], *IN_EVERY_RIG}
     )
     lines.append(
         "\nNamed but not there: " + (", ".join(f"{c} {n}" for c, n in wrong.items()) or "none")
