@@ -12,8 +12,9 @@ from gyrorig_solver.data.clocks.clock_faults import CounterArray
 # A longer step of the times, in sample periods and in s, is a pause or a step of the clock.
 MAX_STEP_PERIODS = 100.0
 MAX_STEP_S = 1.0
-# A log of events can have a pause every few rows; then the pauses are not separated.
-MAX_PAUSES = 1000
+# A log of events can have a pause every few rows. 20,000 segments take 1 s to load (measured); with
+# more pauses than this, they are not separated.
+MAX_PAUSES = 50_000
 
 
 def longest_gap_s(period_s: float) -> float:

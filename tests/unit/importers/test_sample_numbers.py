@@ -148,3 +148,11 @@ def test_the_packet_counter_of_xsens_numbers_the_samples(tmp_path: Path, fine: b
     samples = load_samples(read_recording(path), "037003F8")
     assert samples.lost == is_lost.sum()
     assert samples.period_s == pytest.approx(0.01, rel=1e-4)
+
+
+def test_many_pauses_are_not_part_of_the_period(tmp_path: Path) -> None:
+    """A logger that wakes up for a quarter of a second, 2000 times."""
+    row = np.arange(100_000)
+    samples = imported(tmp_path, 1.0 + (row + 1000 * (row // 50)) / RATE_HZ, noise(row.size))
+    assert samples.period_s == pytest.approx(1.0 / RATE_HZ, rel=1e-6)
+    assert samples.lost == 0
