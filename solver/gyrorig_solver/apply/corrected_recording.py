@@ -54,6 +54,7 @@ class RecordingSummary:
     outside_temperature: int  # samples left out: outside the range of a bias with temperature
     losses: tuple[str, ...]  # damaged parts of the recording, missing in the copy
     other_uid: str | None = None  # of the board, if it is not that of the calibration
+    without_force: int = 0  # samples left out: without the acceleration that the correction needs
 
 
 def apply_to_recording(
@@ -113,6 +114,7 @@ def apply_to_recording(
         outside_temperature=builder.left_out,
         losses=tuple(loss.text for loss in copied.losses),
         other_uid=other_uid,
+        without_force=builder.without_force,
     )
 
 
@@ -191,6 +193,9 @@ class _MessageBuilder:
         self._frame_id = f"{samples.board}/{calibration.frame}"
         self._covered = self._valid_temperatures()
         self.left_out = int(np.count_nonzero(~self._covered & samples.usable))
+        has_force = self._measured_forces()
+        self.without_force = int(np.count_nonzero(~has_force & self._covered & samples.usable))
+        self._covered &= has_force
 
     def _valid_temperatures(self) -> BoolArray:
         """Return which samples were taken at a temperature of the valid range, (n,).
@@ -207,6 +212,14 @@ class _MessageBuilder:
         if not covered.any():
             raise self._calibration.outside_range_error(degc)
         return covered
+
+    def _measured_forces(self) -> BoolArray:
+        """Return which samples have the acceleration that the correction needs, (n,)."""
+        column = stored_column(self._samples, "accel_m_s2")
+        is_needed = self._calibration.correction.needs_force
+        if not is_needed or column is None or column.valid is None:
+            return np.ones(self._samples.time_s.size, dtype=np.bool_)
+        return column.valid
 
     def batches(self) -> Iterator[MessageBatch]:
         """Yield the messages, in the order of their arrival."""

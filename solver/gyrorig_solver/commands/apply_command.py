@@ -174,6 +174,10 @@ def _apply_to_recording(
         terminal.print_result(
             f"  remark: {result.left_out} saturated or repeated samples were left out"
         )
+    if result.without_force:
+        terminal.print_result(
+            f"  remark: {result.without_force} samples without an acceleration were left out"
+        )
     if result.outside:
         terminal.print_result(_rate_remark(correction, result.outside, result.messages, "samples"))
     if result.outside_temperature:

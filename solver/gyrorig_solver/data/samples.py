@@ -60,7 +60,8 @@ class GyroSamples:
     # (n, 3), counts times nominal scale, sensor frame
     rate_rad_s: PhysicalField[FloatArray] = PhysicalField()  # noqa: RUF009
     usable: BoolArray  # (n,), False if saturated or repeated
-    accel_m_s2: PhysicalField[FloatArray | None] = PhysicalField()  # noqa: RUF009 - (n, 3)
+    # (n, 3), nan if a sample has none
+    accel_m_s2: PhysicalField[FloatArray | None] = PhysicalField()  # noqa: RUF009
     # (n,), nan if a sample has none
     temperature_degc: PhysicalField[FloatArray | None] = PhysicalField()  # noqa: RUF009
     quantum_rad_s: float
@@ -203,7 +204,11 @@ def load_samples(recording: Recording, board: str) -> GyroSamples:
     accel_scale = positive_number(metadata, "accel_scale_m_s2")
     accel = None
     if accel_scale and accel_valid > 0.5 * good.size:
-        accel = CountColumn(_LazyField(recording, board, "accel", keep), accel_scale)
+        accel = CountColumn(
+            _LazyField(recording, board, "accel", keep),
+            accel_scale,
+            valid=_valid_rows(raw.status, ImuStatus.ACCEL_VALID),
+        )
     samples = GyroSamples(
         board=board,
         metadata=metadata,
@@ -361,9 +366,14 @@ def _temperature_column(raw: ImuColumns, metadata: Mapping[str, str]) -> CountCo
         return None
     if not (np.isfinite(scale) and np.isfinite(offset)):
         return None
-    bit = int(ImuStatus.TEMPERATURE_VALID)
-    valid_count = _count_status(raw.status, bit)
-    if not valid_count:
+    if not _count_status(raw.status, ImuStatus.TEMPERATURE_VALID):
         return None
-    valid = None if valid_count == raw.status.size else np.asarray(raw.status & bit != 0)
+    valid = _valid_rows(raw.status, ImuStatus.TEMPERATURE_VALID)
     return CountColumn(raw.temperature, scale, offset, valid)
+
+
+def _valid_rows(status: CounterArray, bit: int) -> BoolArray | None:
+    """Return the mask of the samples with a status bit, None if all have it."""
+    if _count_status(status, bit) == status.size:
+        return None
+    return np.asarray(status & int(bit) != 0)

@@ -154,8 +154,18 @@ def _cut_windows(samples: GyroSamples, rest: TimeInterval) -> _Windows | None:
     return _Windows(
         np.nanmax(np.nanstd(means[is_filled], axis=1), axis=1),
         _group_means(rate, window, in_window)[is_filled],
-        None if force is None else _group_means(force[used], window, in_window)[is_filled],
+        None if force is None else _force_means(force[used], window, count),
     )
+
+
+def _force_means(force: FloatArray, window: IntArray, count: int) -> FloatArray | None:
+    """Return the mean of each window with accelerations, None if these are too few."""
+    is_known = np.isfinite(force).all(axis=1)
+    in_window = np.bincount(window[is_known], minlength=count)
+    if np.count_nonzero(in_window) < MIN_WINDOWS:
+        return None
+    means = _group_means(force[is_known], window[is_known], in_window)
+    return np.asarray(means[in_window > 0])
 
 
 def _group_means(values: FloatArray, group: IntArray, count: IntArray) -> FloatArray:

@@ -330,3 +330,36 @@ def test_the_command_reports_its_result(
     )
     assert cli.run(["apply", str(golden), str(source), "-o", str(tmp_path / "b.bag")]) == 2
     assert ".mcap" in capsys.readouterr().err
+
+
+def test_samples_without_an_acceleration(
+    document: DocumentFactory, source: Path, tmp_path: Path
+) -> None:
+    """Their messages state that it was not measured; a correction that needs it leaves them out."""
+    recording = read_recording(source)
+    raw = recording.imu_columns(BOARD)
+    status = raw.status.astype(np.int64)
+    status[300:310] = 0
+    writer = RecordingWriter(tmp_path / "part.mcap", recording.metadata)
+    writer.write_imu_array(
+        BOARD,
+        host_time_ns=raw.host_time_ns,
+        publish_time_ns=None,
+        device_time=raw.device_time,
+        sequence=raw.sequence,
+        status=status,
+        temperature=raw.temperature,
+        gyro=raw.gyro,
+        accel=np.where(status[:, None] == 0, 0, [0, 0, 981]),
+    )
+    part = writer.close()
+    summary = apply_to_recording(Calibration(document()), part, tmp_path / "a.mcap")
+    assert (summary.messages, summary.without_force) == (498, 0)
+    made = [m for _, _, m in messages(tmp_path / "a.mcap")]
+    is_unknown = [m.linear_acceleration_covariance[0] == -1.0 for m in made]
+    assert np.flatnonzero(is_unknown).tolist() == list(range(298, 308))
+    assert {xyz(m.linear_acceleration)[2] for m in made[298:308]} == {0.0}
+    force = {"g_sensitivity": {"value": [1e-4] * 9, "std": [0.0] * 9, "unit": "rad/s/(m/s^2)"}}
+    needs_force = Calibration(document(parameters=force))
+    summary = apply_to_recording(needs_force, part, tmp_path / "b.mcap")
+    assert (summary.messages, summary.without_force, summary.left_out) == (488, 10, 2)

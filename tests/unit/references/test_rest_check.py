@@ -12,9 +12,11 @@ from tests.support.reference_recordings import (
     record_turns,
 )
 
+from gyrorig_protocol.documents import convert_document, parse_yaml
 from gyrorig_protocol.errors import InputError
 from gyrorig_protocol.recording.reader import read_recording
 from gyrorig_solver.data import FloatArray
+from gyrorig_solver.importers import ImportMap, check_import_map, import_measurements
 from gyrorig_solver.pipeline import solve_recordings
 
 GYRO = SimulatedGyro()
@@ -85,3 +87,26 @@ def test_a_rest_between_turns_is_checked_too(tmp_path: Path) -> None:
     path = record_turns(tmp_path / "t.mcap", GYRO, static_over_turns=True)
     with pytest.raises(InputError, match=r"from 3\.0 s to 7\.0 s is marked as a rest"):
         solve_recordings([read_recording(path)], BOARD)
+
+
+@pytest.mark.parametrize("missing", ["dropout", "slower"])
+def test_samples_without_an_acceleration_are_no_motion(tmp_path: Path, missing: str) -> None:
+    """Before, they counted as 0 m/s^2: "its reading changes by up to 9.8 m/s^2"."""
+    rng = np.random.default_rng(4)
+    time_s = np.arange(6000) / 100.0
+    force = np.tile([0.0, 0.0, 9.81], (6000, 1)) + 0.01 * rng.normal(size=(6000, 3))
+    is_missing = (time_s > 20.0) & (time_s < 26.0)
+    force[is_missing if missing == "dropout" else np.arange(6000) % 5 < 2] = np.nan
+    np.savez(tmp_path / "in.npz", t=1.0 + time_s, g=1e-3 * rng.normal(size=(6000, 3)), a=force)
+    text = f"""
+    schema: gyrorig/import/1
+    board: "{BOARD}"
+    sensor: "X"
+    time: {{key: t, unit: s}}
+    gyro: {{keys: [g], unit: rad/s}}
+    accel: {{keys: [a], unit: m/s2}}
+    static: [{{end_s: 60.9}}]
+    """
+    mapping = check_import_map(convert_document(parse_yaml(text, "map"), ImportMap, "map"), "map")
+    path = import_measurements(tmp_path / "in.npz", mapping, tmp_path / "out.mcap").path
+    assert solve_recordings([read_recording(path)], BOARD).observability.rank == 3

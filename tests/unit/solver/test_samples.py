@@ -8,6 +8,7 @@ import pytest
 
 from gyrorig_protocol.errors import InputError
 from gyrorig_protocol.identity import BoardId
+from gyrorig_protocol.recording.messages import ImuStatus
 from gyrorig_protocol.recording.reader import read_recording
 from gyrorig_protocol.recording.writer import RecordingWriter
 from gyrorig_solver.data import FloatArray
@@ -173,6 +174,16 @@ def test_only_samples_with_a_temperature_have_one(written: Write) -> None:
     assert samples.temperature_degc is not None
     assert np.nanmax(samples.temperature_degc) == np.nanmin(samples.temperature_degc) == 25.0
     assert np.isnan(samples.temperature_degc).sum() == N - N // 10
+
+
+def test_only_samples_with_an_acceleration_have_one(written: Write) -> None:
+    """Before, the others had 0 m/s^2: a slower accelerometer had a mean of 5.86."""
+    status = np.where(np.arange(N) % 5 < 3, int(ImuStatus.ACCEL_VALID), 0)
+    accel = np.where(status[:, None] > 0, [0, 0, 981], 0)
+    samples = written(status=status, accel=accel, meta={"accel_scale_m_s2": "0.01"})
+    assert samples.accel_m_s2 is not None
+    assert np.array_equal(np.isnan(samples.accel_m_s2).all(axis=1), status == 0)
+    assert np.nanmean(samples.accel_m_s2[:, 2]) == pytest.approx(9.81)
 
 
 def test_a_motion_that_is_nowhere_known_shows_nothing(written: Write) -> None:
