@@ -1,7 +1,7 @@
 """The figures of the page of a check: measured values over the band of simulated sessions.
 
-What to use when: `draw_close_up` for the rates of a few moves; `draw_timing`, `draw_rest_positions`
-and `draw_family` for the statistics of a board.
+What to use when: `draw_close_up` for the rates of a few moves; `draw_residuals` for those of the
+whole recording; `draw_timing`, `draw_rest_positions` and `draw_family` for the statistics.
 """
 
 from collections.abc import Sequence
@@ -14,6 +14,7 @@ from gyrorig_solver.report.figure_layout import (
     BEFORE,
     INK,
     SOFT,
+    draw_rates_over_time,
     stacked_panels,
 )
 from gyrorig_solver.report.svg_panels import Panel
@@ -68,6 +69,12 @@ def draw_close_up(board: BoardCheck) -> str:
         panel.has_key = axis == 0
     panels[-1].xlabel = "time, s"
     return figure.svg()
+
+
+def draw_residuals(board: BoardCheck) -> str:
+    """Draw the measured minus the simulated rates, of the default simulation and of the twin."""
+    layers = [(board.before.residual_rad_s, BEFORE), (board.after.residual_rad_s, None)]
+    return draw_rates_over_time(board.session.block_time_s, layers, 4.6)
 
 
 def draw_timing(comparisons: Sequence[FamilyComparison]) -> list[dict[str, str]]:

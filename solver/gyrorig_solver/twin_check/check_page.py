@@ -7,11 +7,11 @@ from collections.abc import Sequence
 from typing import Any
 
 from gyrorig_solver.report.calibration_page import fill_template
-from gyrorig_solver.report.figure_layout import BEFORE, draw_rates_over_time
 from gyrorig_solver.twin_check.check_figures import (
     TIMING,
     draw_close_up,
     draw_family,
+    draw_residuals,
     draw_rest_positions,
     draw_timing,
 )
@@ -99,11 +99,7 @@ def _section(board: BoardCheck, lacks: Sequence[str]) -> dict[str, Any]:
         "earlier": "default simulation" if board.without_causes is None else TWIN_ALONE,
         "edges": _edge_figures(board),
         "overlay": draw_close_up(board),
-        "residuals": draw_rates_over_time(
-            board.session.block_time_s,
-            [(board.before.residual_rad_s, BEFORE), (board.after.residual_rad_s, None)],
-            4.6,
-        ),
+        "residuals": draw_residuals(board),
         "timing": draw_timing(board.after.comparisons),
         "rests": draw_rest_positions(by_key(board.after.comparisons).get("rest_position")),
         "figures": [
