@@ -215,7 +215,8 @@ def child_of(pid: int) -> int:
 def test_a_stopped_process_does_not_catch_up(bench: Bench) -> None:
     daemon = bench.record(REST)
     wait_for(lambda: growing(bench) > 50)
-    with stopped(child_of(daemon.pid), 0.6):  # a poll has a second's patience
+    # A poll waits for a second, of which a busy computer needs a part.
+    with stopped(child_of(daemon.pid), 0.4):
         pass
     wait_for(lambda: growing(bench) > 200)
     with stopped(daemon.pid, 1.2):
@@ -228,7 +229,7 @@ def test_a_stopped_process_does_not_catch_up(bench: Bench) -> None:
     assert any(text.startswith("the daemon") for text in stalls)
     for board in ("B-1", "B-2"):
         sequence = recording.array(f"/board/{board}/imu_raw")["sequence"].astype(np.int64)
-        assert np.all(np.diff(sequence) == 1)  # the kernel kept 0.6 s of it
+        assert np.all(np.diff(sequence) == 1)  # the kernel kept 0.4 s of it
     positions = recording.array("/ptu/position")
     asked = positions["request_time"]
     asked_ns = asked["sec"].astype(np.int64) * 1_000_000_000 + asked["nanosec"]
