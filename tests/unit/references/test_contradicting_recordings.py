@@ -128,6 +128,7 @@ def _samples(**metadata: str) -> GyroSamples:
         ("sensor", ("ICM-20948", "MPU-6050")),
         ("odr_hz", ("100", "200")),
         ("config_hash", ("3f", "", "40")),
+        ("config_hash", ("1e4001", "2e4001")),
         ("bandwidth_hz", ("", "25")),
     ],
 )
