@@ -235,6 +235,8 @@ def _result_text(solved: StoredResult) -> str:
         lines.append(f"  unit                  {prior.id} version {prior.version}, of {count}")
     if solved.unit_version is not None:
         lines.append(f"  unit, new version     {solved.unit_version}")
+    if solved.other_board is not None:
+        lines.append(f"  remark: {solved.other_board}")
     lines.append(f"  calibration           {solved.path}")
     lines.append(f"  report                {solved.report}")
     return "\n".join(lines)
@@ -249,5 +251,6 @@ def _result_json(solved: StoredResult) -> dict[str, Any]:
         "file": str(solved.path),
         "report": str(solved.report),
         **({} if solved.unit_version is None else {"unit_version": solved.unit_version}),
+        **({} if solved.other_board is None else {"other_board": solved.other_board}),
         "calibration": calibration_as_mapping(calibration),
     }

@@ -1,13 +1,14 @@
 """Refuse recordings of two boards with one name, and of one board with two settings.
 
-What to use when: `check_same_board` before recordings are fitted together,
-`check_stored_board` before a version is added to a store.
+What to use when: `check_same_board` before recordings are fitted together, `check_stored_board`
+before a batch adds a version to a store, `compare_with_version` for a remark on the newest version.
 """
 
 from collections.abc import Sequence
 
-from gyrorig_protocol.errors import InputError, UsageError
+from gyrorig_protocol.errors import GyrorigError, InputError, UsageError
 from gyrorig_protocol.recording.recording import Recording
+from gyrorig_solver.calibration import StoredVersion, parse_calibration
 from gyrorig_solver.calibration.calibration_document import (
     UNKNOWN_IDENTITIES,
     BoardRecord,
@@ -73,6 +74,28 @@ def check_stored_board(stored: BoardRecord, recordings: Sequence[Recording]) -> 
                     "the same name",
                     "give one of the two boards another `id` in its rig file",
                 )
+
+
+def compare_with_version(version: StoredVersion | None, board: BoardRecord) -> str | None:
+    """Return a remark if the newest version of a store is of another board, else None.
+
+    A version that cannot be read is not compared.
+    """
+    if version is None:
+        return None
+    try:
+        earlier = parse_calibration(version.data(), version.name).board
+    except GyrorigError:
+        return None
+    for key in IDENTITIES:
+        known, identity = getattr(earlier, key), getattr(board, key)
+        if are_different(known, identity):
+            return (
+                f"the {key} of board {board.id} is {identity:.40}, and {known:.40} in version "
+                f"{version.number}, so two boards have the same name; give one of them another "
+                "`id` in its rig file"
+            )
+    return None
 
 
 def _check_setting(key: str, names: Sequence[str], samples: Sequence[GyroSamples]) -> None:

@@ -46,6 +46,7 @@ from gyrorig_solver.pipeline.board_results import BoardExplanation, CriticisedFi
 from gyrorig_solver.pipeline.criticised_fit import AUTO, fit_criticised
 from gyrorig_solver.pipeline.criticism_verdict import add_criticism, add_findings
 from gyrorig_solver.pipeline.explain_board import build_document, findings_page
+from gyrorig_solver.pipeline.one_board import compare_with_version
 from gyrorig_solver.pipeline.unit_prior import UnitKnowledge
 from gyrorig_solver.report import ReportData, render_calibration
 from gyrorig_solver.uncertainty import UncertaintyBudget, UncertaintySettings, default_settings
@@ -63,6 +64,7 @@ class StoredResult:
     stored: StoredVersion
     explanation: BoardExplanation | None = None  # if causes were searched for
     unit_version: int | None = None  # of the unit's posterior, if the solve added one
+    other_board: str | None = None  # a remark if the version before is of another board
 
 
 def solve_and_store(
@@ -130,6 +132,7 @@ def solve_and_store(
         if add_unit is not None and unit_version is None:
             unit_version = add_unit()
 
+    other_board = compare_with_version(store.latest(board), document.board)
     stored = store.add_version(board, text, check_and_add_to_unit)
     page = render_calibration(_report_data(document, fit))
     report = store.write_companion(stored, ".report.html", page.encode())
@@ -137,7 +140,9 @@ def solve_and_store(
         findings, page = findings_page(explanation)
         store.write_companion(stored, FINDINGS_SUFFIX, findings_yaml(findings).encode())
         store.write_companion(stored, ".findings.html", page.encode())
-    return StoredResult(document, stored.path, report, stored, explanation, unit_version)
+    return StoredResult(
+        document, stored.path, report, stored, explanation, unit_version, other_board
+    )
 
 
 def build_fit_document(

@@ -193,3 +193,21 @@ def test_temperatures_without_an_offset_have_no_mean_with_others(tmp_path: Path)
     assert mixed[1].temperature.mean_degc == 25.0
     same = read_contexts([(recording, relative, None), (recording, relative, None)])
     assert all(context.temperature is not None for context in same)
+
+
+@pytest.mark.parametrize("uid", ["U1", "U2", "unknown"])
+def test_a_new_version_of_another_board_has_a_remark(
+    tmp_path: Path, capsys: Captured, uid: str
+) -> None:
+    paths = [
+        attitudes(tmp_path / f"{k}.mcap", GYRO, k, uid=one_uid)
+        for k, one_uid in enumerate(("U1", uid))
+    ]
+    for path in paths:
+        capsys.readouterr()
+        words = ["solve", str(path), "--out", str(tmp_path / "out"), "--extend", "none"]
+        assert run([*words, "--json"]) == 0
+    solved = json.loads(capsys.readouterr().out)
+    remark = solved["boards"][0].get("other_board")
+    assert (remark is not None) == (uid == "U2")
+    assert remark is None or "U2, and U1 in version 1, so two boards have" in remark
