@@ -502,12 +502,18 @@ def make_acquisition(settings: PortSettings) -> tuple[Acquisition, SupervisedPor
     return acquisition, port, reports[0]
 
 
-def test_a_unit_that_was_unplugged_while_the_daemon_was_silent_is_halted() -> None:
-    """It gets the halt when its port is open again, because the daemon does not send it."""
+def make_acquisition_on_pty() -> tuple[int, Acquisition, SupervisedPort]:
+    """Return the end of a unit, which does not block, and an acquisition with the other end."""
     device, line = pty.openpty()
     tty.setraw(line)
     os.set_blocking(device, False)
     acquisition, port, _ = make_acquisition(PortSettings(os.ttyname(line), 9600, "H "))
+    return device, acquisition, port
+
+
+def test_a_unit_that_was_unplugged_while_the_daemon_was_silent_is_halted() -> None:
+    """It gets the halt when its port is open again, because the daemon does not send it."""
+    device, acquisition, port = make_acquisition_on_pty()
     acquisition._last_command_ns = raw_ns() - 4 * SECOND_NS
     acquisition._halt_if_silent(raw_ns())
     acquisition._retry_closed_ports()
@@ -519,10 +525,7 @@ def test_a_unit_that_was_unplugged_while_the_daemon_was_silent_is_halted() -> No
 
 def test_a_halted_unit_that_was_unplugged_is_halted_again_before_anything_else() -> None:
     """The daemon has not run yet, so its halt on the returned port would be refused."""
-    device, line = pty.openpty()
-    tty.setraw(line)
-    os.set_blocking(device, False)
-    acquisition, port, _ = make_acquisition(PortSettings(os.ttyname(line), 9600, "H "))
+    device, acquisition, port = make_acquisition_on_pty()
     acquisition._retry_closed_ports()
     acquisition._last_command_ns = raw_ns() - 4 * SECOND_NS
     acquisition._halt_if_silent(raw_ns())
@@ -536,10 +539,7 @@ def test_a_halted_unit_that_was_unplugged_is_halted_again_before_anything_else()
 
 
 def test_a_unit_whose_port_is_closed_when_the_daemon_dies_is_halted() -> None:
-    device, line = pty.openpty()
-    tty.setraw(line)
-    os.set_blocking(device, False)
-    acquisition, _, _ = make_acquisition(PortSettings(os.ttyname(line), 9600, "H "))
+    device, acquisition, _ = make_acquisition_on_pty()
     acquisition._send_final_commands()
     select.select([device], [], [], PATIENCE_S)
     assert os.read(device, 100) == b"H "
