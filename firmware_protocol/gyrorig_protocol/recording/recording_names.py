@@ -3,6 +3,7 @@
 What to use when: `distinct_names` wherever a text or a key names one of several recordings.
 """
 
+from collections import Counter
 from collections.abc import Sequence
 
 from gyrorig_protocol.recording.recording import Recording
@@ -14,10 +15,9 @@ def distinct_names(recordings: Sequence[Recording]) -> tuple[str, ...]:
     depths = [1] * len(parts)
     while True:
         names = tuple("/".join(p[-depth:]) for p, depth in zip(parts, depths, strict=True))
+        counts = Counter(names)
         short = [
-            k
-            for k, name in enumerate(names)
-            if names.count(name) > 1 and depths[k] < len(parts[k]) - 1
+            k for k, name in enumerate(names) if counts[name] > 1 and depths[k] < len(parts[k]) - 1
         ]
         if not short:
             return names
