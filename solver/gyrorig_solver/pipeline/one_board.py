@@ -4,7 +4,7 @@ What to use when: `check_same_board` before recordings are fitted together, `che
 before a batch adds a version to a store, `compare_with_version` for a remark on the newest version.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from gyrorig_protocol.errors import GyrorigError, InputError, UsageError
 from gyrorig_protocol.recording.recording import Recording
@@ -65,15 +65,15 @@ def check_stored_board(stored: BoardRecord, recordings: Sequence[Recording]) -> 
     """
     for recording in recordings:
         metadata = recording.metadata.get(f"gyrorig.board.{stored.id}", {})
-        for key, known in (("uid", stored.uid), ("sensor", stored.sensor)):
-            identity = metadata.get(key, "")
-            if are_different(known, identity):
-                raise InputError(
-                    f"board {stored.id} has the {key} {identity[:40]!r} in the recording "
-                    f"{recording.path.name}, but {known[:40]!r} in the store, so two boards have "
-                    "the same name",
-                    "give one of the two boards another `id` in its rig file",
-                )
+        difference = _find_other_identity(stored, metadata)
+        if difference is not None:
+            key, known, identity = difference
+            raise InputError(
+                f"board {stored.id} has the {key} {identity!r} in the recording "
+                f"{recording.path.name}, but {known!r} in the store, so two boards have the same "
+                "name",
+                "give one of the two boards another `id` in its rig file",
+            )
 
 
 def compare_with_version(version: StoredVersion | None, board: BoardRecord) -> str | None:
@@ -87,14 +87,24 @@ def compare_with_version(version: StoredVersion | None, board: BoardRecord) -> s
         earlier = parse_calibration(version.data(), version.name).board
     except GyrorigError:
         return None
-    for key in IDENTITIES:
-        known, identity = getattr(earlier, key), getattr(board, key)
+    difference = _find_other_identity(earlier, {"uid": board.uid, "sensor": board.sensor})
+    if difference is None:
+        return None
+    key, known, identity = difference
+    return (
+        f"the {key} of board {board.id} is {identity}, and {known} in version {version.number}, so "
+        "two boards have the same name; give one of them another `id` in its rig file"
+    )
+
+
+def _find_other_identity(
+    stored: BoardRecord, identities: Mapping[str, str]
+) -> tuple[str, str, str] | None:
+    """Return the key whose known values differ, and both values, shortened; None without one."""
+    for key, known in (("uid", stored.uid), ("sensor", stored.sensor)):
+        identity = identities.get(key, "")
         if are_different(known, identity):
-            return (
-                f"the {key} of board {board.id} is {identity:.40}, and {known:.40} in version "
-                f"{version.number}, so two boards have the same name; give one of them another "
-                "`id` in its rig file"
-            )
+            return key, known[:40], identity[:40]
     return None
 
 
