@@ -18,12 +18,11 @@ from gyrorig_solver.estimate.gyro_fit import (
     BoardSharing,
     FitDiagnostics,
     GyroFit,
-    NoiseLevels,
     RecordingFit,
 )
 from gyrorig_solver.estimate.initial_guess import solve_shared_gain
 from gyrorig_solver.estimate.likelihood_fit import fit_likelihood
-from gyrorig_solver.estimate.noise.rounding import is_rounded_without_dither
+from gyrorig_solver.estimate.noise_summary import noise_levels, noise_remarks
 from gyrorig_solver.estimate.rest_to_rest import BoardPath, CrossCheck, cross_check
 from gyrorig_solver.estimate.series import build_series
 from gyrorig_solver.estimate.session_fit import SessionFit
@@ -108,7 +107,7 @@ def summarize_motion_fit(
         raise NotConvergedError(solution.convergence, _remedy_without_convergence(solution))
     chi2 = reduced_chi2(solution)
     solution, chi2_factor = widen_uncertainty(solution)
-    warnings = (*warnings, *_noise_remarks(solution, chi2_factor))
+    warnings = (*warnings, *noise_remarks(solution, chi2_factor))
     rms_before, rms_after = _held_out_rms(solution)
     check = _rest_to_rest_check(solution)
     if check is not None and check.p_value < MIN_CROSS_CHECK_P:
@@ -147,7 +146,7 @@ def summarize_motion_fit(
         limited_reasons=_limited_reasons(solution),
         diagnostics=_diagnostics(solution),
         chi2_limit=float("inf"),  # reported in `_limited_reasons`
-        noise=_noise_levels(solution),
+        noise=noise_levels(solution),
         rate_range_rad_s=_rate_range(solution),
         clock_truth="the host's capture clock",
         rest_to_rest=check,
@@ -304,55 +303,6 @@ def _mean_temperature_degc(samples: GyroSamples) -> float | None:
     if degc is None or not np.isfinite(degc).any():
         return None
     return float(np.nanmean(degc))
-
-
-def _noise_levels(solution: ConvergedFit) -> NoiseLevels:
-    noise = solution.noises[-1]
-    levels = np.sqrt(noise.levels)
-    return NoiseLevels(
-        angle_random_walk=levels[:, 0],
-        bias_instability=levels[:, 1],
-        rate_random_walk=levels[:, 2],
-        source=solution.noise_sources[-1],
-        white_by_motor_state={
-            state: levels[:, 0] * ratio for state, ratio in _last_noise_ratios(solution).items()
-        },
-        noise_floor=np.sqrt(noise.floor) if noise.floor.any() else None,
-    )
-
-
-def _last_noise_ratios(solution: ConvergedFit) -> Mapping[str, FloatArray]:
-    """Return the noise in motion relative to that at rest, of the last recording that shows it."""
-    ratios = (session.noise_ratios() for session in reversed(solution.sessions))
-    return next((ratio for ratio in ratios if ratio), {})
-
-
-def _noise_remarks(solution: ConvergedFit, chi2_factor: float) -> list[str]:
-    """Return remarks about noise in motion and about a multiplied covariance."""
-    remarks = []
-    ratio = _last_noise_ratios(solution).get("in_motion")
-    rounded = np.any([is_rounded_without_dither(noise) for noise in solution.noises], axis=0)
-    if rounded.any():
-        axes = ", ".join(np.array(list("xyz"))[rounded].tolist())
-        remarks.append(
-            f"the noise of the samples (axis {axes}) is less than half a count. The noise levels "
-            "are those of the rounding, and the bias has the uncertainty of a count. Select a "
-            "smaller full scale"
-        )
-    elif ratio is not None:
-        remarks.append(
-            "the noise in motion is "
-            + ", ".join(f"{value:.2f}" for value in ratio)
-            + " times the noise at rest (x, y, z). The fit accounts for this. The usual cause is "
-            "vibration of the motors"
-        )
-    if chi2_factor > 1.0:
-        remarks.append(
-            f"the solver multiplied the standard uncertainties by {np.sqrt(chi2_factor):.2f}, "
-            f"because the residual variance in motion is {chi2_factor:.2f} times that of the noise "
-            "model"
-        )
-    return remarks
 
 
 def _limited_reasons(solution: ConvergedFit) -> tuple[str, ...]:
