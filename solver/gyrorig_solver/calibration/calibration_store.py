@@ -162,8 +162,10 @@ class CalibrationStore:
         """
         folder = self.prepare_folder(board)
         for _ in range(MAX_ATTEMPTS):
-            check_before()
             last = self.latest(board)
+            # A version that another solver adds from here on takes this number, and the next
+            # attempt checks it.
+            check_before()
             number = last.number + 1 if last else 1
             text = make_text(number, last.digest() if last else None)
             name = f"{self._folder_name(board)}/v{number:04d}.yaml"

@@ -51,6 +51,21 @@ def test_a_lost_race_takes_the_next_number_and_the_new_digest(tmp_path: Path) ->
     assert mine.path.read_text() == f"mine 2 sha256:{digest}\n"
 
 
+def test_a_version_that_appears_after_the_check_is_checked(tmp_path: Path) -> None:
+    """The check of a board compares it with all versions before the written one."""
+    store = CalibrationStore(tmp_path)
+    checked: list[list[int]] = []
+
+    def check() -> None:
+        checked.append([version.number for version in store.versions(BOARD)])
+        if len(checked) == 1:  # another solver adds its version right after the check
+            store.add_version(BOARD, lambda _n, _b: "rival\n")
+
+    added = store.add_version(BOARD, lambda _n, _b: "mine\n", check)
+    assert added.number == 2
+    assert checked == [[], [1]]
+
+
 RIVAL = """
 import sys
 from pathlib import Path
