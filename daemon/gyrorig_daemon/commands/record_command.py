@@ -195,7 +195,7 @@ class _Motion:
     replay: RecordedMotion | None = None
     replay_sha256: str = ""
     program_begin_s: float | None = None  # of a replay, since power-up
-    twin_recording: str | None = None  # of a twin, if it is the replayed one
+    twin_recording: str | None = None  # see `make_twin_rig`
 
 
 def _read_motion(program_path: Path | None, replay_path: Path | None, config: RigConfig) -> _Motion:
@@ -220,6 +220,7 @@ def _read_motion(program_path: Path | None, replay_path: Path | None, config: Ri
             "recording for a real one",
             "give a motion program with --program, or write `emulated` as the port of the unit",
         )
+    from gyrorig_daemon.emulator.twin import OTHER_RECORDING  # noqa: PLC0415 - NumPy
     from gyrorig_daemon.session.recorded_motion import read_replay  # noqa: PLC0415 - NumPy
 
     source = read_replay(replay_path)
@@ -233,7 +234,9 @@ def _read_motion(program_path: Path | None, replay_path: Path | None, config: Ri
         replay=source.motion,
         replay_sha256=source.sha256,
         program_begin_s=begin_s,
-        twin_recording=next((r.name for r in recordings if r.sha256 == source.sha256), None),
+        twin_recording=next(
+            (r.name for r in recordings if r.sha256 == source.sha256), OTHER_RECORDING
+        ),
     )
 
 

@@ -66,6 +66,7 @@ class StatedCause:
     latitude_deg: float | None = None
     heading_deg: float | None = None
     board: StatedBoard | None = None
+    period_share: float = 0.0  # of a period by which a cause that repeats is later than stated
 
     @property
     def on_board(self) -> StatedBoard:

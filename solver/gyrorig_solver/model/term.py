@@ -212,6 +212,12 @@ class Term(ABC):
         return self.part == "ptu"
 
     @property
+    def is_single_event(self) -> bool:
+        """Whether it happens once, at a time that is a value of its fit."""
+        roles = {parameter.role for parameter in self.parameters}
+        return "event" in roles and "shape" not in roles
+
+    @property
     def is_brief(self) -> bool:
         """Whether it acts for milliseconds only: after edges of moves, as pulses or as a line."""
         return self.needs_moves or self.template_search in ("pulses", "spectral_lines")

@@ -102,7 +102,7 @@ def build_twin(boards: Mapping[str, BoardData], fits: Mapping[str, CriticisedFit
         list({r.sha256: r for data in boards.values() for r in data.recordings}.values())
     )
     link = measure_link(boards)
-    collected = collect_causes(fits)
+    collected = collect_causes(fits, [recording.path.name for recording in recordings])
     unit = _measure_unit(boards, fits, link)
     twin = Twin(
         schema="gyrorig/twin/1",

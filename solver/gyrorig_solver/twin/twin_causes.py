@@ -5,7 +5,7 @@ A cause of the unit is in the findings of every board; the twin has it once.
 What to use when: `collect_causes`.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -32,11 +32,12 @@ class CollectedCauses:
     not_emulated: list[str] = field(default_factory=list)  # causes that are not a property of a rig
 
 
-def collect_causes(fits: Mapping[str, CriticisedFit]) -> CollectedCauses:
+def collect_causes(fits: Mapping[str, CriticisedFit], recordings: Sequence[str]) -> CollectedCauses:
     """Return the causes of all boards, each with the values that the findings state.
 
     Args:
         fits: of each board, with its findings.
+        recordings: names of all of them.
     """
     collected = CollectedCauses()
     numbers: dict[tuple[str, str | None, str | None], int] = {}
@@ -55,15 +56,16 @@ def collect_causes(fits: Mapping[str, CriticisedFit]) -> CollectedCauses:
                 collected.not_emulated.append(entry.cause)
                 continue
             owner = None if cause is not None and _belongs_to_unit(cause) else board
-            key = (entry.cause, owner, entry.recording)
+            recording = _recording_of(entry, recordings)
+            key = (entry.cause, owner, recording)
             if owner is not None and key in numbers:  # the same cause at several places
-                key = (f"{entry.cause}@{entry.where}", owner, entry.recording)
+                key = (f"{entry.cause}@{entry.where}", owner, recording)
             if key not in numbers:
                 is_common = owner is None and len(fits) > 1
                 sizes = _stated_sizes(entry) if cause is None else _fitted_sizes(cause)
                 if cause is not None and is_common:
                     sizes |= _common_sizes(criticised, cause)
-                twin_cause = _twin_cause(entry, owner, sizes)
+                twin_cause = _twin_cause(entry, owner, recording, sizes)
                 if twin_cause is None:
                     continue
                 numbers[key] = len(collected.causes)
@@ -75,10 +77,22 @@ def collect_causes(fits: Mapping[str, CriticisedFit]) -> CollectedCauses:
     return collected
 
 
-def _twin_cause(entry: CauseEntry, owner: str | None, sizes: dict[str, Scalar]) -> TwinCause | None:
+def _recording_of(entry: CauseEntry, recordings: Sequence[str]) -> str | None:
+    """Return the recording in which a cause happened, None if it acts in all.
+
+    Findings of one recording do not name it, but a single event is not in any other recording.
+    """
+    if len(recordings) == 1 and catalogue()[entry.cause].is_single_event:
+        return recordings[0]
+    return entry.recording
+
+
+def _twin_cause(
+    entry: CauseEntry, owner: str | None, recording: str | None, sizes: dict[str, Scalar]
+) -> TwinCause | None:
     if not sizes:
         return None
-    return TwinCause(entry.cause, entry.where, sizes, owner, entry.recording)
+    return TwinCause(entry.cause, entry.where, sizes, owner, recording)
 
 
 def _stated_sizes(entry: CauseEntry) -> dict[str, Scalar]:

@@ -55,7 +55,7 @@ def render_check(check: TwinCheck) -> str:
         "gain": gain_text(check),
         "equations": cause_views(check.twin),
         "sections": [
-            _section(board, lack_texts(check.twin, board.board))
+            _section(board, lack_texts(check.twin, board.board, board.is_held_out))
             for board in sorted(check.boards, key=lambda board: not board.is_held_out)
         ],
         "draws": check.draws,

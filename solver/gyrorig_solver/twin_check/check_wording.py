@@ -185,9 +185,25 @@ def _similar_in_draws(cause: str) -> str:
     return "" if term is None else term.similar_in_draws
 
 
-def lack_texts(twin: Twin, board: str) -> list[str]:
-    """Return what the twin lacks, or may lack without a difference in the check."""
-    texts = (unexplained_text(twin, board), random_cause_text(twin, board))
+def single_event_text(twin: Twin, board: str) -> str:
+    """Return the causes that a check does not repeat in another recording; empty if none."""
+    events = [
+        f"{cause.cause} in {cause.recording}"
+        for cause in twin.causes
+        if cause.recording is not None and cause.board in (None, board)
+    ]
+    if not events:
+        return ""
+    return f"Single events of the fitted recordings are not repeated: {', '.join(events)}."
+
+
+def lack_texts(twin: Twin, board: str, is_held_out: bool) -> list[str]:
+    """Return what the simulation lacks, or may lack without a difference in the check."""
+    texts = (
+        unexplained_text(twin, board),
+        single_event_text(twin, board) if is_held_out else "",
+        random_cause_text(twin, board),
+    )
     return [text for text in texts if text]
 
 
@@ -205,7 +221,7 @@ def summarise(check: TwinCheck) -> str:
         )
         lines.append(f"  {verdict_text(board)}")
         lines += [f"    {difference_text(comparison)}" for comparison in differences(board.after)]
-        lines += [f"  {text}" for text in lack_texts(check.twin, board.board)]
+        lines += [f"  {text}" for text in lack_texts(check.twin, board.board, board.is_held_out)]
     return "\n".join(lines)
 
 
@@ -225,6 +241,9 @@ def to_plain(check: TwinCheck) -> dict[str, Any]:
                 **_board_plain(board),
                 "unexplained": list(check.twin.boards[board.board].unexplained),
                 "not_visible": random_cause_text(check.twin, board.board),
+                "not_repeated": single_event_text(check.twin, board.board)
+                if board.is_held_out
+                else "",
             }
             for board in check.boards
         ],

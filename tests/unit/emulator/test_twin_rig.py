@@ -8,6 +8,7 @@ from typing import Any
 import msgspec
 import numpy as np
 import pytest
+import scipy.stats
 from tests.support.stated_causes import BEGIN_S, END_S, stated_twin
 
 from gyrorig_daemon.config import parse_rig
@@ -16,7 +17,7 @@ from gyrorig_daemon.emulator.emulator_settings import BoardSettings, PtuSettings
 from gyrorig_daemon.emulator.injection import parse_injection
 from gyrorig_daemon.emulator.physics.host_latency import LatencyTruth
 from gyrorig_daemon.emulator.rig_truth import sample_rig_truth
-from gyrorig_daemon.emulator.twin import draw_twin, make_twin_rig
+from gyrorig_daemon.emulator.twin import OTHER_RECORDING, draw_twin, make_twin_rig
 from gyrorig_daemon.emulator.twin.twin_devices import link_delay_s, unit_lag_s
 from gyrorig_protocol.documents import dump_yaml
 from gyrorig_protocol.errors import UsageError
@@ -135,6 +136,33 @@ def test_events_of_another_recording_do_not_happen() -> None:
     assert both[0].cause == "bias_step"
     # Findings give times of the motion, and a sample shows it a few ms later.
     assert both[0].number("at") == pytest.approx(stated - 7.3 + BEGIN_S, abs=0.01)
+
+
+def test_in_another_recording_no_single_event_happens() -> None:
+    plain = plain_twin("bias_step", "scale_cubic")
+    plain["causes"][0]["recording"] = plain["recordings"][0]["name"]
+    made = make_twin_rig(twin_of(plain), SETTINGS, OTHER_RECORDING)
+    assert [cause.cause for cause in made.truth.injected] == ["scale_cubic"]
+    assert made.notes == (
+        f"bias_step happened once, in {plain['recordings'][0]['name']}, and is not repeated",
+    )
+
+
+@pytest.mark.parametrize("cause", ["supply_hum", "clock_sawtooth"])
+def test_in_another_recording_what_repeats_has_another_phase(cause: str) -> None:
+    twin = twin_of(plain_twin(cause))
+
+    def phase(recording: str | None, session_seed: int) -> float:
+        settings = replace(SETTINGS, session_seed=session_seed)
+        (injected,) = make_twin_rig(twin, settings, recording).truth.injected
+        if cause == "supply_hum":
+            return injected.number("phase") / (2.0 * math.pi)
+        return injected.number("at") / injected.number("period")
+
+    assert phase(None, 1) == phase(None, 2)
+    shares = [(phase(None, 1) - phase(OTHER_RECORDING, seed)) % 1.0 for seed in range(200)]
+    assert scipy.stats.kstest(shares, "uniform").pvalue > 1e-3
+    assert phase(OTHER_RECORDING, 7) == phase(OTHER_RECORDING, 7)
 
 
 @pytest.mark.parametrize("unit", ["deg", "mrad", "arcsec", ""])

@@ -1,5 +1,6 @@
 """Single events of several recordings: each keeps its own size and figure."""
 
+import json
 from pathlib import Path
 
 import pytest
@@ -43,3 +44,22 @@ def test_each_event_has_its_figure(files: list[Path], tmp_path: Path) -> None:
     figures = {cause.evidence.figure for cause in document.causes if cause.cause == "lost_steps"}
     assert len(figures) == 2
     assert all((tmp_path / "GY80-1" / str(figure)).is_file() for figure in figures)
+
+
+def test_the_event_is_not_repeated_in_a_new_recording(files: list[Path], tmp_path: Path) -> None:
+    """Before, the check found 10 differences: the twin lost the steps again."""
+    sound = record(tmp_path / "new", "--seed", "3", "--session-seed", "7", "--session", "sound")[0]
+    out = tmp_path / "twin"
+    assert run_gyrorig("twin", files[0], "--out", out).returncode == 0
+    (event,) = parse_twin((out / "twin.yaml").read_bytes(), "twin.yaml").causes
+    assert (event.cause, event.recording) == ("lost_steps", files[0].name)
+    process = run_gyrorig("twin-check", sound, files[0], out, "--draws", "10", "--json")
+    assert process.returncode == 0, process.stderr
+    new, fitted = sorted(json.loads(process.stdout)["boards"], key=lambda board: -board["held_out"])
+    assert (new["different"], fitted["different"]) == (False, False)
+    assert f"lost_steps in {files[0].name}" in new["not_repeated"]
+    assert fitted["not_repeated"] == ""
+    # In the fitted recording, the event happens: without it, the twin would be far off.
+    assert fitted["after"]["log_density_nats_per_s"] > (
+        fitted["without_causes"]["log_density_nats_per_s"] + 100.0
+    )

@@ -10,7 +10,12 @@ from tests.support.stated_causes import stated_twin
 from gyrorig_daemon.emulator.emulated_rig import EmulatedRig
 from gyrorig_daemon.emulator.emulator_settings import RigSettings
 from gyrorig_protocol.twin import Scalar, Twin, TwinCause, twin_to_plain
-from gyrorig_solver.twin_check.check_wording import differences, lack_texts, unexplained_text
+from gyrorig_solver.twin_check.check_wording import (
+    differences,
+    lack_texts,
+    single_event_text,
+    unexplained_text,
+)
 from gyrorig_solver.twin_check.gain_wording import gain_text
 
 EFFECTS = ["on pan", "on tilt", "on the time", "on the speed", "on the move"]
@@ -25,7 +30,7 @@ def twin_without(effects: list[str]) -> tuple[Twin, str]:
 
 
 def test_nothing_is_stated_if_the_fit_explained_everything() -> None:
-    assert lack_texts(*twin_without([])) == []
+    assert lack_texts(*twin_without([]), True) == []
 
 
 def test_a_random_cause_of_the_board_limits_what_the_check_can_see() -> None:
@@ -34,13 +39,24 @@ def test_a_random_cause_of_the_board_limits_what_the_check_can_see() -> None:
     random = TwinCause(
         "bias_random_walk", "x", {"factor.x": Scalar(30.0, 2.0, "1", "recording")}, board
     )
-    stated = lack_texts(msgspec.structs.replace(twin, causes=(random,)), board)
+    stated = lack_texts(msgspec.structs.replace(twin, causes=(random,)), board, True)
     assert len(stated) == 1
     assert (
         "bias_random_walk (x): the check cannot see any other slow change of the bias" in stated[0]
     )
     others = msgspec.structs.replace(random, board="OTHER")
-    assert lack_texts(msgspec.structs.replace(twin, causes=(others,)), board) == []
+    assert lack_texts(msgspec.structs.replace(twin, causes=(others,)), board, True) == []
+
+
+def test_a_single_event_is_stated_for_a_new_recording_only() -> None:
+    twin, board = twin_without([])
+    step = {"step.x": Scalar(0.1, 0.01, "rad/s"), "time": Scalar(3.0, 0.1, "s")}
+    event = TwinCause("bias_step", "x", step, board, "fitted.mcap")
+    twin = msgspec.structs.replace(twin, causes=(event,))
+    (stated,) = lack_texts(twin, board, True)
+    assert stated.endswith("not repeated: bias_step in fitted.mcap.")
+    assert lack_texts(twin, board, False) == []
+    assert single_event_text(twin, "OTHER") == ""
 
 
 @pytest.mark.parametrize(

@@ -59,7 +59,7 @@ class ClockSawtooth(Cause):
                 {
                     "lag_growth": Quantity(growth, "1"),
                     "period": Quantity(period_s, "s"),
-                    "at": stated.event_s(),
+                    "at": Quantity(stated.event_s().number + stated.period_share * period_s, "s"),
                 },
                 delay_s=0.5 * tooth_s + max(-tooth_s, 0.0),
             ),

@@ -55,7 +55,8 @@ class SupplyHum(SensorCause):
         """See `Cause`."""
         frequency_hz = stated.number("frequency")
         # Findings count the phase from the begin of the recording.
-        phase_rad = math.remainder(-2.0 * math.pi * frequency_hz * stated.begin_s, 2.0 * math.pi)
+        periods = frequency_hz * stated.begin_s + stated.period_share
+        phase_rad = math.remainder(-2.0 * math.pi * periods, 2.0 * math.pi)
         return (
             CarriedCause(
                 {

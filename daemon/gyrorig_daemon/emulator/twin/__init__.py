@@ -5,6 +5,6 @@ settings and the true parameters of the rig.
 """
 
 from gyrorig_daemon.emulator.twin.posterior_draw import draw_twin
-from gyrorig_daemon.emulator.twin.twin_rig import TwinRig, make_twin_rig
+from gyrorig_daemon.emulator.twin.twin_rig import OTHER_RECORDING, TwinRig, make_twin_rig
 
-__all__ = ["TwinRig", "draw_twin", "make_twin_rig"]
+__all__ = ["OTHER_RECORDING", "TwinRig", "draw_twin", "make_twin_rig"]

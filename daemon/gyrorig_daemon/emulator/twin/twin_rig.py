@@ -45,6 +45,10 @@ from gyrorig_protocol.errors import UsageError
 from gyrorig_protocol.suggestions import did_you_mean
 from gyrorig_protocol.twin import Twin, TwinBoard, TwinCause, TwinRecording
 
+# A replayed recording that the twin was not fitted to. No event of another recording happens in it,
+# and the phase of what repeats is not known.
+OTHER_RECORDING = ""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TwinRig:
@@ -63,7 +67,8 @@ def make_twin_rig(twin: Twin, settings: RigSettings, recording: str | None = Non
         twin: the section of the rig file.
         settings: of the rest of the file. The begin of `session_s` is the time since power-up at
             which the first sample of the recording is, and its injections are added.
-        recording: whose single events happen; None: those of the first one.
+        recording: whose single events happen; None: those of the first one. `OTHER_RECORDING`: no
+            events, and a random phase of what repeats.
 
     Raises:
         UsageError: the twin has no board of the rig, or a cause cannot be used.
@@ -94,20 +99,11 @@ def make_twin_rig(twin: Twin, settings: RigSettings, recording: str | None = Non
         board.name: link_delay_s(board, plain_boards[board.name], latency)
         for board in settings.boards
     }
-    places = _Places(settings, played, boards, plain_boards, link_delays_s)
-    carried: list[tuple[InjectedCause, CarriedCause]] = []
-    notes: list[str] = []
-    for cause in twin.causes:
-        if cause.recording not in (None, played.name):
-            continue
-        reason = places.reason_not_carried(cause)
-        if reason is not None:
-            notes.append(f"the emulated rig does not have the cause {cause.cause}, {reason}")
-            continue
-        board_id = places.board_of(cause)
-        kind = CAUSES[cause.cause]
-        for part in kind.from_findings(places.stated(cause, board_id)):
-            carried.append((_injected(cause.cause, board_id, part), part))
+    phase_rng = None
+    if recording == OTHER_RECORDING:
+        phase_rng = np.random.default_rng((settings.seed, settings.session_seed or 0))
+    places = _Places(settings, played, boards, plain_boards, link_delays_s, phase_rng)
+    carried, notes = _carry_causes(twin.causes, places)
     delays_s = {
         name: sum(part.delay_s for cause, part in carried if cause.board == name) for name in boards
     }
@@ -185,6 +181,29 @@ def _injected(name: str, board: str | None, carried: CarriedCause) -> InjectedCa
     )
 
 
+def _carry_causes(
+    causes: Sequence[TwinCause], places: "_Places"
+) -> tuple[list[tuple[InjectedCause, CarriedCause]], list[str]]:
+    """Return the causes that act in the session, and notes on those that the rig does not have."""
+    carried: list[tuple[InjectedCause, CarriedCause]] = []
+    notes: list[str] = []
+    for cause in causes:
+        if places.is_other_recording and cause.recording is not None:
+            notes.append(f"{cause.cause} happened once, in {cause.recording}, and is not repeated")
+            continue
+        if cause.recording not in (None, places.recording.name):
+            continue
+        reason = places.reason_not_carried(cause)
+        if reason is not None:
+            notes.append(f"the emulated rig does not have the cause {cause.cause}, {reason}")
+            continue
+        board_id = places.board_of(cause)
+        kind = CAUSES[cause.cause]
+        for part in kind.from_findings(places.stated(cause, board_id)):
+            carried.append((_injected(cause.cause, board_id, part), part))
+    return carried, notes
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class _Places:
     """The devices on which the causes of a twin act."""
@@ -194,6 +213,12 @@ class _Places:
     twin_boards: Mapping[str, TwinBoard]
     truths: Mapping[str, BoardTruth]
     link_delays_s: Mapping[str, float]
+    phase_rng: np.random.Generator | None  # of what repeats in another recording
+
+    @property
+    def is_other_recording(self) -> bool:
+        """Whether the session replays a recording that the twin was not fitted to."""
+        return self.phase_rng is not None
 
     def reason_not_carried(self, cause: TwinCause) -> str | None:
         """Return why the emulated rig cannot have a cause, None if it can."""
@@ -242,6 +267,7 @@ class _Places:
             latitude_deg=settings.latitude_deg,
             heading_deg=settings.heading_deg,
             board=None if board_id is None else self._stated_board(board_id),
+            period_share=0.0 if self.phase_rng is None else self.phase_rng.uniform(),
         )
 
     def _lag_s(self, board_id: str) -> float:
