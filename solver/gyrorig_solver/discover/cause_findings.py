@@ -215,7 +215,6 @@ class CauseFindings:
     base_terms: tuple[str, ...]
     base_reduced_chi2: float
     base_whiteness_p: float  # smallest p-value of the tests of the base model's residual
-    extended_reduced_chi2: float
     gain: HeldOutGain | None  # of all named causes together
     changes: tuple[CalibrationChange, ...]  # by all named causes together
     duration_s: float  # of the search

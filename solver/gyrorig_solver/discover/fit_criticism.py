@@ -98,7 +98,6 @@ def findings_without_rates(fit: GyroFit) -> CauseFindings:
         base_terms=fit.terms,
         base_reduced_chi2=fit.reduced_chi2,
         base_whiteness_p=math.nan,
-        extended_reduced_chi2=fit.reduced_chi2,
         gain=None,
         changes=(),
         duration_s=0.0,

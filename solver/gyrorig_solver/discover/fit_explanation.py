@@ -144,7 +144,6 @@ def assemble_findings(
         base_terms=base.base_terms,
         base_reduced_chi2=base.reduced_chi2(),
         base_whiteness_p=base_tests[0].p_value,
-        extended_reduced_chi2=space.reduced_chi2(),
         gain=None if cross_validated is None else cross_validated.combined,
         changes=calibration.changes_from(base.calibration().values),
         duration_s=time.monotonic() - start_s,

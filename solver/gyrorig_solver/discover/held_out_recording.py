@@ -43,11 +43,6 @@ class HeldOutFit:
     log_likelihood: float  # nats, up to a constant of all models with the same noise
     left_out: tuple[FittedTerm, ...]  # causes of other recordings, or that are not testable here
 
-    @property
-    def whitened(self) -> list[FloatArray]:
-        """Whitened residual of each series, (n, 3)."""
-        return _whitened_residuals(self.session, self.gain, self.noise)
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class HeldOutRecording:
@@ -79,9 +74,8 @@ class HeldOutRecording:
         noise = _fit_nuisances(
             session, solution.gain, None if same_noise_as is None else same_noise_as.noise
         )
-        cost = 0.5 * sum(
-            float(np.sum(w**2)) for w in _whitened_residuals(session, solution.gain, noise)
-        )
+        whitened = session.whitened_residuals(solution.gain, noise)
+        cost = 0.5 * sum(float(np.sum(residual**2)) for residual in whitened)
         cost += reference_cost(session.reference)
         return HeldOutFit(session, solution.gain, noise, -cost, left_out)
 
@@ -141,9 +135,3 @@ def _fit_nuisances(session: SessionFit, gain: FloatArray, noise: NoiseModel | No
 def _fit_noise(session: SessionFit, gain: FloatArray, before: NoiseModel | None) -> NoiseModel:
     levels = None if before is None else before.levels
     return fit_session_noise(session, gain, session.sampling, levels).noise
-
-
-def _whitened_residuals(
-    session: SessionFit, gain: FloatArray, noise: NoiseModel
-) -> list[FloatArray]:
-    return session.whitened_residuals(gain, noise)

@@ -4,7 +4,7 @@ Filters and transforms run along the time axis. This order in memory needs no co
 
 What to use when: `zero_signals` to fill in values, `stack_signals` for several signals,
 `on_all_axes` for a signal that is the same on each axis, `split_axes` for one axis at a time;
-`AxisBiases` for a bias of each axis without the zeros, `weighted_sum` for the sum of either kind.
+`AxisBiases` for a bias of each axis without the zeros.
 """
 
 from collections.abc import Sequence
@@ -32,13 +32,6 @@ Signals = FloatArray | AxisBiases  # (k, n, 3), or each row on each axis
 def dense_signals(signals: Signals) -> FloatArray:
     """Return signals with their zeros, (k, n, 3)."""
     return split_axes(on_all_axes(signals.rows)) if isinstance(signals, AxisBiases) else signals
-
-
-def weighted_sum(signals: Signals, sizes: FloatArray) -> FloatArray:
-    """Return the sum of k signals times sizes (k,), shape (n, 3)."""
-    if isinstance(signals, AxisBiases):
-        return (sizes.reshape(-1, 3).T @ signals.rows).T
-    return np.swapaxes(np.tensordot(sizes, np.swapaxes(signals, -1, -2), axes=1), -1, -2)
 
 
 def zero_signals(*shape: int) -> FloatArray:

@@ -11,7 +11,6 @@ from tests.support.board_fits import fit_base_model
 from gyrorig_solver.data import FloatArray
 from gyrorig_solver.estimate import NuisanceProjector, WhitenedSignals, join_signals
 from gyrorig_solver.model import AxisBiases, Signals, SignalState, dense_signals
-from gyrorig_solver.model.signal_arrays import weighted_sum
 
 
 @pytest.fixture(scope="module")
@@ -135,7 +134,3 @@ def test_biases_of_each_axis_are_whitened_as_dense_signals(projection: NuisanceP
     dense = dense_signals(biases)
     signals = [projection.evaluate_signals(partial(_as_given, s)) for s in (biases, dense)]
     assert signals[0].dense() == pytest.approx(signals[1].dense(), rel=1e-9, abs=1e-12)
-    sizes = np.random.default_rng(9).standard_normal(len(biases))
-    expected = np.tensordot(sizes, dense, axes=1)
-    for given in (biases, dense):
-        assert weighted_sum(given, sizes) == pytest.approx(expected, rel=1e-9, abs=1e-12)

@@ -68,7 +68,6 @@ def findings() -> CauseFindings:
         base_terms=("bias", "scale", "nonorthogonality", "misalignment", "time_offset"),
         base_reduced_chi2=3.25,
         base_whiteness_p=1e-12,
-        extended_reduced_chi2=1.0625,
         gain=GAIN,
         changes=CHANGES,
         duration_s=5.0,

@@ -22,7 +22,6 @@ import numpy as np
 from gyrorig_solver.data import FloatArray
 from gyrorig_solver.discover.checks.basis_family import BasisFamily
 from gyrorig_solver.estimate.attitude.attitude_projector import MIN_BOARD_RATE_RAD_S
-from gyrorig_solver.estimate.attitude.block_segments import AttitudeState
 from gyrorig_solver.model import (
     DEG,
     XYZ,
@@ -81,12 +80,6 @@ class ReferenceSmoothing(LinearTerm):
         bend = np.gradient(np.gradient(slow, axis=0), axis=0) / block_s**2
         signal = -0.5 * (bend + state.sample_output(across)) @ state.gain.T
         return np.asarray(signal[None], dtype=np.float64)
-
-    def reason_not_testable(self, state: SignalState) -> str | None:
-        """Explain that a unit's motion is not a mean."""
-        return (
-            None if isinstance(state, AttitudeState) else "the recording has no reference attitudes"
-        )
 
     def describe(self, values: FloatArray) -> str:
         """Describe the duration."""

@@ -24,7 +24,6 @@ from gyrorig_solver.estimate import (
     WhitenedSignals,
 )
 from gyrorig_solver.model import AxisBiases, Signals, SignalState, Term
-from gyrorig_solver.model.signal_arrays import weighted_sum
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -53,20 +52,6 @@ class BasisFamily:
         if self.windows is None or self.windows_sum is None:
             return None
         return windowed_statistics(projection, self.windows_sum, self.windows)
-
-    def whitened_sum(self, projection: NuisanceProjector, sizes: FloatArray) -> FloatArray:
-        """Return the sum of the family's signals times sizes (k,), whitened, (all,)."""
-
-        def total(scene: SignalState) -> FloatArray:
-            signal, first = np.zeros((scene.block_count, 3)), 0
-            for function in self.signals:
-                signals = function(scene)
-                signal += weighted_sum(signals, sizes[first : first + len(signals)])
-                first += len(signals)
-            return signal[None]
-
-        white: FloatArray = projection.evaluate_signals(total).dense()[0]
-        return white
 
     def whitened(self, projection: NuisanceProjector, term: Term | None = None) -> WhitenedSignals:
         """Return the family's signals in units of the noise.

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gyrorig_solver.data import FloatArray, IntArray
+from gyrorig_solver.data import FloatArray
 from gyrorig_solver.discover.cause_findings import DependenceTest
 from gyrorig_solver.discover.checks.basis_family import BasisFamily
 from gyrorig_solver.discover.checks.smooth_alternatives import smooth_families
@@ -40,7 +40,6 @@ class DetailTest:
     """The score test of a basis family at its most significant detail."""
 
     score_test: ScoreTest  # at the most significant detail
-    signal_indices: IntArray  # (k,), signals up to that detail
     p_value: float  # with the choice of the detail counted
 
 
@@ -185,11 +184,7 @@ def choose_detail(
         if degrees > 0:
             p_value = min(1.0, len(sets) * chi2_upper_tail(statistic, degrees))
             if best is None or p_value < best.p_value:
-                best = DetailTest(
-                    ScoreTest(statistic, degrees, score_test.one_step_sizes),
-                    signal_indices,
-                    p_value,
-                )
+                best = DetailTest(ScoreTest(statistic, degrees, score_test.one_step_sizes), p_value)
     return best
 
 
