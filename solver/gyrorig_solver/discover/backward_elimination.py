@@ -14,7 +14,7 @@ from typing import Generic
 
 from gyrorig_solver.discover.fit_space import Space
 from gyrorig_solver.estimate import FittedTerm
-from gyrorig_solver.model import term_label, value_indices
+from gyrorig_solver.model import term_label
 from gyrorig_solver.numerics import chi2_upper_tail
 
 # If the fit without a cause is clearly worse after this many evaluations, the cause is kept.
@@ -50,11 +50,10 @@ def eliminate_backward(
         gain_by_label: dict[str, float] = {}
         cost: float | None = None
         for k, extension in enumerate(space.fitted_terms):
-            all_sizes = value_indices(extension.term, role="size")
-            sizes = sum(1 for j in extension.free_indices if j in all_sizes)
+            sizes = len(extension.free_sizes)
             if extension in known_terms or not sizes:
                 continue
-            others = [other for j, other in enumerate(space.fitted_terms) if j != k]
+            others = space.terms_without(k)
             cost = space.negative_log_likelihood(space) if cost is None else cost
             reduced = space.refit(others, FIRST_EVALUATIONS).refit_gain()
             gain = reduced.negative_log_likelihood(space) - cost

@@ -3,7 +3,7 @@
 What to use when: `fit_leading` for the causes with the best scores, `fit_best_place` for one.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence, Set
 
 import numpy as np
 
@@ -28,7 +28,7 @@ def fit_leading(
     projection: NuisanceProjector,
     leading: Sequence[CandidateScore],
     scores: Sequence[CandidateScore],
-    left_out: set[str],
+    left_out: Set[str],
     tests: int,
     fit_law: Callable[[Term, float], FittedCandidate | None],
 ) -> list[tuple[FittedCandidate, float]]:
@@ -177,16 +177,14 @@ def global_p_value(candidate: FittedCandidate, effective_trials: float, tests: i
 
     Only the sizes are degrees of freedom; the trials account for the scanned shapes.
     """
-    extension = candidate.extension
-    sizes = int(np.isin(extension.free_indices, value_indices(extension.term, role="size")).sum())
+    sizes = len(candidate.extension.free_sizes)
     local = chi2_upper_tail(2.0 * max(candidate.delta_log_likelihood, 0.0), sizes)
     return min(1.0, local * effective_trials * tests)
 
 
 def fitted_place(extension: FittedTerm) -> str | None:
     """Return the place if only its sizes are fitted; None for all places."""
-    all_sizes = value_indices(extension.term, role="size")
-    sizes = [int(k) for k in extension.free_indices if k in all_sizes]
+    sizes = extension.free_sizes
     for place, _ in testable_places(extension.term):
         if place is not None and value_indices(extension.term, place, "size") == sizes:
             return place

@@ -159,28 +159,25 @@ def review_ranking(
     """
     for swap in range(MAX_SWAPS + 1):
         ranked_causes: list[RankedCause] = []
-        numbers: list[int] = []
         replacement: tuple[int, FittedTerm] | None = None
         shows_beside = _significance_beside(space, tests)
-        for k, extension in enumerate(space.fitted_terms):
-            if not extension.free_indices.size:
-                continue
-            label = term_label(extension.term)
-            labels = considered.get(label, set()) | confusable_labels(extension.term, terms)
+        for k in space.free_causes:
+            term = space.fitted_terms[k].term
+            label = term_label(term)
+            labels = considered.get(label, set()) | confusable_labels(term, terms)
             candidates = [term for term in terms if term_label(term) in {*labels, label}]
-            ranked = rank_against_alternatives(space, k, candidates, tests, shows_beside)
-            ranked_causes.append(ranked)
-            numbers.append(k)
+            ranked_causes.append(
+                rank_against_alternatives(space, k, candidates, tests, shows_beside)
+            )
         ranked_causes = [_with_other_recordings(ranked, ranked_causes) for ranked in ranked_causes]
-        for k, ranked in zip(numbers, ranked_causes, strict=True):
+        for k, ranked in zip(space.free_causes, ranked_causes, strict=True):
             if ranked.rivals and ranked.lead_nats(0) > MIN_EVIDENCE_LEAD_NATS:
                 replacement = k, ranked.rivals[0][0].extension
                 break
         if replacement is None or swap == MAX_SWAPS:
             break
         k, other = replacement
-        others = [extension for j, extension in enumerate(space.fitted_terms) if j != k]
-        swapped = extend_fit(space.refit(others), other)
+        swapped = extend_fit(space.refit(space.terms_without(k)), other)
         if not is_acceptable(swapped):
             break
         space = swapped
@@ -275,17 +272,16 @@ def rank_against_alternatives(
         shows_beside: whether a cause is significant in addition to all causes of the fit.
     """
     extension = space.fitted_terms[k]
-    others = [other for j, other in enumerate(space.fitted_terms) if j != k]
+    others = space.terms_without(k)
     changes_law = space.changes_law(extension.term)
     without = space.refit(others) if changes_law else space
     if not without.convergence.converged:
         return _unrivalled(space, k, without)
     projector = without.projector() if changes_law else space.projector_without(k)
     own_label = term_label(extension.term)
-    fitted_labels = {term_label(fitted_term.term) for fitted_term in space.fitted_terms}
-    fitted_labels.remove(own_label)
+    other_labels = space.labels - {own_label}
     scores = scan_catalogue(
-        projector, [t for t in terms if term_label(t) not in fitted_labels], tests
+        projector, [t for t in terms if term_label(t) not in other_labels], tests
     )
     if changes_law:
         refitted: FittedCandidate | None = judge_law_cause(
@@ -322,7 +318,7 @@ def rank_against_alternatives(
             laws[label] = law
         return law
 
-    candidates = fit_leading(projector, scores, scores, fitted_labels, tests, fit_law)
+    candidates = fit_leading(projector, scores, scores, other_labels, tests, fit_law)
     same_cause = [pair for pair in candidates if term_label(pair[0].extension.term) == own_label]
     if refitted is not None and (
         not same_cause or refitted.log_evidence > same_cause[0][0].log_evidence

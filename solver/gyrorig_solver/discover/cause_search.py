@@ -80,9 +80,7 @@ def search_causes(base: Space) -> SearchResult[Space]:
 class _Search(Generic[Space]):
     def __init__(self, base: Space) -> None:
         """Start from a fit of the base model."""
-        self._known_terms = tuple(
-            extension for extension in base.fitted_terms if not extension.free_indices.size
-        )
+        self._known_terms = tuple(base.terms_without(*base.free_causes))
         self._space, self._typical = base, True
         self._projection = base.projector(typical=True)
         self._terms = select_testable(base.terms.values(), self._projection)
@@ -97,7 +95,8 @@ class _Search(Generic[Space]):
         self._has_weaker = False  # whether other candidates were significant in it
         self._gains_by_label: Mapping[str, float] = {}
         self._memory = SearchMemory(base)
-        self._reviewed: list[set[str]] = []  # causes of the models to which none could be added
+        # Causes of the models to which none could be added.
+        self._reviewed: list[frozenset[str]] = []
         self._ranking: tuple[Space, Space, tuple[RankedCause, ...]] | None = None  # of a model
         self._last_evaluation = base.effort.evaluations + MAX_SEARCH_EVALUATIONS
 
@@ -111,9 +110,9 @@ class _Search(Generic[Space]):
             self._add_causes()
             self._settle()
             is_last = self._is_at_limit or len(self._reviewed) == MAX_ROUNDS - 1
-            if is_last or _labels(self._space) in self._reviewed:
+            if is_last or self._space.labels in self._reviewed:
                 return self._ranked_result()
-            self._reviewed.append(_labels(self._space))
+            self._reviewed.append(self._space.labels)
             if not self._replace_causes() and not self._try_weaker():
                 return self._ranked_result()
 
@@ -176,7 +175,7 @@ class _Search(Generic[Space]):
         `with_weaker`: fit the other candidates, after the exact fits of the leading candidates
         failed.
         """
-        fitted_labels = _labels(self._space)
+        fitted_labels = self._space.labels
         if self._scored_projection is not self._projection:
             terms = [term for term in self._terms if term_label(term) not in fitted_labels]
             self._scores = scan_catalogue(self._projection, terms, self._tests)
@@ -248,7 +247,7 @@ class _Search(Generic[Space]):
         replaced, _ = self._rank()
         if replaced is self._space:
             replaced = compare_clock_faults(self._space, self._terms, self._tests)
-        if replaced is self._space or _labels(replaced) in self._reviewed:
+        if replaced is self._space or replaced.labels in self._reviewed:
             return False
         self._excluded.clear()
         self._memory.visit(replaced)
@@ -279,9 +278,9 @@ class _Search(Generic[Space]):
                 self._use_fitted_noise()
             return
         self._considered.setdefault(name, set()).update(selection.considered)
-        before = _labels(self._space)
+        before = self._space.labels
         extended = self._drop_without_gain(self._drop_insignificant(extended))
-        if _labels(extended) <= before:
+        if extended.labels <= before:
             self._excluded.add(name)  # it was removed at once: do not try it again
         self._memory.visit(extended)
         self._continue_with(extended)
@@ -309,9 +308,7 @@ class _Search(Generic[Space]):
             if not weak:
                 return space
             drop = max(weak)[1]
-            reduced = space.refit(
-                [extension for k, extension in enumerate(space.fitted_terms) if k != drop]
-            )
+            reduced = space.refit(space.terms_without(drop))
             if not reduced.convergence.converged:
                 needed.add(term_label(space.fitted_terms[drop].term))
                 continue
@@ -321,7 +318,7 @@ class _Search(Generic[Space]):
         """Remove the causes without gain on held-out data, if the space requires a gain."""
         while without := _causes_without_gain(space):
             self._excluded |= {term_label(space.fitted_terms[k].term) for k in without}
-            space = space.refit([t for k, t in enumerate(space.fitted_terms) if k not in without])
+            space = space.refit(space.terms_without(*without))
         return space
 
     def _ranked_result(self) -> SearchResult[Space]:
@@ -374,10 +371,6 @@ class _Search(Generic[Space]):
 
 def _without(scores: Sequence[CandidateScore], rejected: set[str]) -> list[CandidateScore]:
     return [score for score in scores if term_label(score.term) not in rejected]
-
-
-def _labels(space: FitSpace) -> set[str]:
-    return {term_label(fitted_term.term) for fitted_term in space.fitted_terms}
 
 
 def _causes_without_gain(space: FitSpace) -> list[int]:

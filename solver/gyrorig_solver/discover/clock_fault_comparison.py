@@ -36,16 +36,11 @@ def compare_clock_faults(space: Space, terms: Sequence[Term], tests: int) -> Spa
         terms: the testable causes.
         tests: how many share the false alarms.
     """
-    fitted_labels = {term_label(fitted_term.term) for fitted_term in space.fitted_terms}
-    faults = [
-        k
-        for k, fitted_term in enumerate(space.fitted_terms)
-        if fitted_term.term.part == "clock" and fitted_term.free_indices.size
-    ]
+    faults = [k for k in space.free_causes if space.fitted_terms[k].term.part == "clock"]
     if len(faults) < 2:
         return space
     others = [
-        term for term in terms if term.part == "clock" and term_label(term) not in fitted_labels
+        term for term in terms if term.part == "clock" and term_label(term) not in space.labels
     ]
     for replaced, min_lead_nats in (
         (list(combinations(faults, 2)), -math.log(tests)),
@@ -70,7 +65,7 @@ def _replacements(
     to that event as outliers.
     """
     projector = space.projector_without(*replaced)
-    remaining = [term for k, term in enumerate(space.fitted_terms) if k not in replaced]
+    remaining = space.terms_without(*replaced)
     events_s = [
         float(space.fitted_terms[k].values[index])
         for k in replaced

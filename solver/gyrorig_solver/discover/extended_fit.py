@@ -43,7 +43,6 @@ from gyrorig_solver.model import (
     Stage,
     TermParameter,
     value_indices,
-    value_parameters,
 )
 
 MAX_RESTARTS = 2  # each from the end of the last one
@@ -65,9 +64,7 @@ def extend_fit(space: Space, extension: FittedTerm) -> Space:
     """Refit with one more cause; hold its shapes if the fit does not converge with them free."""
     others = space.fitted_terms
     extended = space.refit([*others, extension])
-    sizes = [
-        k for k in extension.free_indices if value_parameters(extension.term)[k].role == "size"
-    ]
+    sizes = extension.free_sizes
     if not extended.convergence.converged and len(sizes) < extension.free_indices.size:
         sizes_only = replace(extension, free_indices=np.array(sizes, dtype=np.int64))
         extended = space.refit([*others, sizes_only])

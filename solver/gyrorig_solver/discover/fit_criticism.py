@@ -66,8 +66,7 @@ def scan_other_causes(
 ) -> tuple[list[CandidateScore], int]:
     """Return the scores of all causes that a fit does not contain, and the number of tests."""
     terms = select_testable(space.terms.values(), projector)
-    fitted = {term_label(fitted_term.term) for fitted_term in space.fitted_terms}
-    others = [term for term in terms if term_label(term) not in fitted]
+    others = [term for term in terms if term_label(term) not in space.labels]
     return scan_catalogue(projector, others, count_tests(terms)), count_tests(terms)
 
 

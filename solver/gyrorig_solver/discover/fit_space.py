@@ -26,7 +26,7 @@ from gyrorig_solver.estimate import (
     NuisanceProjector,
     ObservabilityAnalysis,
 )
-from gyrorig_solver.model import Term
+from gyrorig_solver.model import Term, term_label
 
 # The caches of one fit take about 3 kB per sample.
 MAX_SPACES_WITH_CACHES = 1
@@ -78,6 +78,20 @@ class FitSpace(ABC):
     effort: SearchEffort
     outliers: int = 0  # samples rejected as outliers of this model
     has_typical_noise: bool = True  # noise levels of a typical part, which hide no cause
+
+    @property
+    def labels(self) -> frozenset[str]:
+        """The labels of the causes in the fit."""
+        return frozenset(term_label(fitted_term.term) for fitted_term in self.fitted_terms)
+
+    @property
+    def free_causes(self) -> list[int]:
+        """The indices of the causes with fitted values; the others belong to the base model."""
+        return [k for k, term in enumerate(self.fitted_terms) if term.free_indices.size]
+
+    def terms_without(self, *dropped: int) -> list[FittedTerm]:
+        """Return the causes of the fit except some, for a refit; `dropped`: their indices."""
+        return [term for k, term in enumerate(self.fitted_terms) if k not in dropped]
 
     @abstractmethod
     def projector(self, typical: bool = False) -> NuisanceProjector:

@@ -77,7 +77,7 @@ class MotionFitSpace(FitSpace):
 
         A cause that changes the motion law is removed by a fit under the law without it.
         """
-        others = [term for j, term in enumerate(self.fitted_terms) if j not in dropped]
+        others = self.terms_without(*dropped)
         removed = [self.fitted_terms[k] for k in dropped]
         if any(self.changes_law(fitted_term.term) for fitted_term in removed):
             without = self.refit(others)

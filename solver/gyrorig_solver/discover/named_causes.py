@@ -52,7 +52,6 @@ def name_cause(
         gain: the gain of the cause on held-out data.
     """
     extension, candidate = space.fitted_terms[k], ranked.candidate
-    all_sizes = value_indices(extension.term, role="size")
     left_out = calibration.propagate(candidate.absorbed)
     number = recording_index_of(extension.term)
     return NamedCause(
@@ -61,7 +60,7 @@ def name_cause(
         extension=extension,
         values=_fitted_values(extension, value_stds(space, k, candidate.event_std)),
         statistic=2.0 * max(candidate.delta_log_likelihood, 0.0),
-        degrees_of_freedom=sum(1 for j in extension.free_indices if j in all_sizes),
+        degrees_of_freedom=len(extension.free_sizes),
         p_value=global_p_value(candidate, ranked.effective_trials, tests),
         posterior=ranked.posterior,
         one_of=ranked.one_of,

@@ -7,7 +7,6 @@ from collections import Counter
 from typing import Generic
 
 from gyrorig_solver.discover.fit_space import FitSpace, Space
-from gyrorig_solver.model import term_label
 
 
 class SearchMemory(Generic[Space]):
@@ -57,9 +56,8 @@ class SearchMemory(Generic[Space]):
 
     def remarks(self, final: FitSpace) -> tuple[str, ...]:
         """Return a remark for each candidate without convergence that is not in the final model."""
-        fitted = {term_label(fitted_term.term) for fitted_term in final.fitted_terms}
         return tuple(
             f"the cause {label} was left out: {reason}"
             for label, reason in self._reasons.items()
-            if label not in fitted
+            if label not in final.labels
         )

@@ -46,6 +46,12 @@ class FittedTerm:
         return tuple(names[index] for index in self.free_indices)
 
     @property
+    def free_sizes(self) -> list[int]:
+        """The indices of the fitted sizes among all values."""
+        sizes = value_indices(self.term, role="size")
+        return [int(index) for index in self.free_indices if index in sizes]
+
+    @property
     def prior_std(self) -> FloatArray:
         """The prior standard deviations of the fitted values, shape (free,)."""
         parameters = value_parameters(self.term)

@@ -13,7 +13,7 @@ MODELS = 20
 class Model:
     """A model of a search, as far as its memory looks at it."""
 
-    fitted_terms: tuple[Any, ...] = ()
+    labels: frozenset[str] = frozenset()
     convergence: Convergence = field(
         default_factory=lambda: Convergence(False, 40, 5.0, "backlash.gap.pan", 3.0)
     )

@@ -184,8 +184,7 @@ class AttitudeFitSpace(FitSpace):
 
     def projector_without(self, *dropped: int) -> NuisanceProjector:
         """Return the projector without some causes, with their effects added to the residual."""
-        others = [term for j, term in enumerate(self.fitted_terms) if j not in dropped]
-        return self.base.with_terms(others)
+        return self.base.with_terms(self.terms_without(*dropped))
 
     def refit(
         self, fitted_terms: Sequence[FittedTerm], max_evaluations: int = MAX_EVALUATIONS

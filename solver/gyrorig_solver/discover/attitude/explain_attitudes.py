@@ -167,8 +167,7 @@ def gain_on_other_recording(
     residuals = []
     for dropped in ([*left_out, *named], left_out):
         gain = projector.gain + projector.best_step(dropped)[:9].reshape(3, 3)
-        remaining = [term for k, term in enumerate(space.fitted_terms) if k not in dropped]
-        residuals.append(other.residual_of_model(gain, remaining))
+        residuals.append(other.residual_of_model(gain, space.terms_without(*dropped)))
     how = f"the recording {recording.name}, in which only bias and time offset were fitted"
     if left_out:
         names = ", ".join(terms[k].cause for k in left_out)

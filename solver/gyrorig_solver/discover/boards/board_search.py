@@ -30,7 +30,7 @@ class BoardSearch:
 
     def fitted_causes(self) -> list[tuple[FittedTerm, RankedCause]]:
         """Return each fitted cause with its ranking."""
-        fitted = [term for term in self.space.fitted_terms if term.free_indices.size]
+        fitted = [self.space.fitted_terms[k] for k in self.space.free_causes]
         return list(zip(fitted, self.ranked_causes, strict=True))
 
     def projector_without(self, dropped: FittedTerm | None) -> NuisanceProjector:
@@ -43,7 +43,7 @@ class BoardSearch:
         self, replaced: FittedTerm | None, cause: FittedTerm, ranked: RankedCause
     ) -> None:
         """Fit a cause, in place of another one or in addition to all, if the fit converges."""
-        known_terms = [term for term in self.space.fitted_terms if not term.free_indices.size]
+        known_terms = self.space.terms_without(*self.space.free_causes)
         others = [pair for pair in self.fitted_causes() if pair[0] is not replaced]
         fitted_terms = [*known_terms, *(extension for extension, _ in others), cause]
         self._refit(fitted_terms, [*(ranking for _, ranking in others), ranked])
@@ -63,9 +63,6 @@ class BoardSearch:
         """Continue with a fit in which a cause of the motion law has its common value."""
         ranked_by_label = {term_label(c.term): ranked for c, ranked in self.fitted_causes()}
         self.space = space
-        fitted = [
-            k for k, extension in enumerate(space.fitted_terms) if extension.free_indices.size
-        ]
         terms = testable_terms(space.projector())
         rivals = confusable_labels(term, terms) | {term_label(term)}
         rivals_and_term = [other for other in terms if term_label(other) in rivals]
@@ -73,7 +70,7 @@ class BoardSearch:
             ranked_by_label[term_label(space.fitted_terms[k].term)]
             if term_label(space.fitted_terms[k].term) in ranked_by_label
             else rank_against_alternatives(space, k, rivals_and_term, count_tests(terms))
-            for k in fitted
+            for k in space.free_causes
         ]
 
     def update_ranking(self, cause: FittedTerm, ranked: RankedCause) -> None:

@@ -304,9 +304,7 @@ def _find_joint_only_causes(boards: Sequence[BoardSearch]) -> None:
         projectors = [board.projector_without(None) for board in boards]
         joint_projector = JointProjector(projectors)
         terms = testable_terms(joint_projector)
-        fitted_labels = {
-            term_label(extension.term) for board in boards for extension in board.space.fitted_terms
-        }
+        fitted_labels = frozenset[str]().union(*(board.space.labels for board in boards))
         unfitted = [term for term in terms if term_label(term) not in fitted_labels]
         unit_terms = [term for term in unfitted if possible_owner(term) != "board"]
         tests = count_tests(unit_terms)

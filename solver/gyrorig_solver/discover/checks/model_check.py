@@ -75,8 +75,7 @@ class JudgedModel(Generic[Space]):
     @property
     def fitted_causes(self) -> list[tuple[int, RankedCause]]:
         """Each fitted cause's index in the fit, with its ranking."""
-        free = [k for k, term in enumerate(self.space.fitted_terms) if term.free_indices.size]
-        return list(zip(free, self.result.ranked_causes, strict=True))
+        return list(zip(self.space.free_causes, self.result.ranked_causes, strict=True))
 
     @property
     def dependence_tests(self) -> Tests:
@@ -127,7 +126,7 @@ class JudgedModel(Generic[Space]):
             removed: whether each ranked cause is removed.
         """
         dropped = [k for (k, _), out in zip(self.fitted_causes, removed, strict=True) if out]
-        others = [term for k, term in enumerate(self.space.fitted_terms) if k not in dropped]
+        others = self.space.terms_without(*dropped)
         space = self.base if all(removed) else self.space.refit(others).confirm()
         if not space.convergence.converged:
             space = self.base.refit(others).confirm()

@@ -249,9 +249,9 @@ def _is_below_one_step(space: FitSpace, projector: NuisanceProjector, k: int) ->
         return False
     extension, stds = space.fitted_terms[k], value_stds(space, k)
     sizes = value_indices(extension.term, role="size")
-    for index in extension.free_indices:
-        if index in sizes and extension.values[index] != 0.0:
-            step = abs(rad_per_step[sizes.index(int(index))])
+    for index in extension.free_sizes:
+        if extension.values[index] != 0.0:
+            step = abs(rad_per_step[sizes.index(index)])
             if abs(float(extension.values[index])) > step - WHOLE_STEP_SIGMA * stds[index]:
                 return False
     return True

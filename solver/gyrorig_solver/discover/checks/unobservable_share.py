@@ -10,7 +10,6 @@ import numpy as np
 from gyrorig_solver.discover.checks.model_check import JudgedModel, Verdict
 from gyrorig_solver.discover.fit_space import FitSpace, Space
 from gyrorig_solver.discover.fitted_values import value_stds
-from gyrorig_solver.model import value_indices
 
 
 class UnobservableShareCheck:
@@ -25,8 +24,7 @@ class UnobservableShareCheck:
 
 def _is_unobservable(space: FitSpace, k: int) -> bool:
     extension = space.fitted_terms[k]
-    all_sizes = value_indices(extension.term, role="size")
-    sizes = [j for j in extension.free_indices if j in all_sizes]
+    sizes = extension.free_sizes
     if not extension.term.confounded_with_gain or not sizes:
         return False
     return bool(np.isinf(value_stds(space, k)[sizes]).all())
