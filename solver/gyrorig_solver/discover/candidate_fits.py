@@ -111,9 +111,8 @@ def _strength_by_label(scores: Sequence[CandidateScore]) -> dict[str, float]:
     """Return by how much the best score of each cause exceeds its degrees of freedom."""
     strength: dict[str, float] = {}
     for score in scores:
-        excess = score.score_test.statistic - score.score_test.degrees_of_freedom
         label = term_label(score.term)
-        strength[label] = max(strength.get(label, -np.inf), excess)
+        strength[label] = max(strength.get(label, -np.inf), score.score_test.excess)
     return strength
 
 
@@ -126,8 +125,8 @@ def _strongest(strength: Mapping[str, float]) -> list[str]:
 
 def _is_much_weaker(term: Term, scores: Sequence[CandidateScore], threshold: float) -> bool:
     """Return whether a lag by time has too small a statistic, because its fit is expensive."""
-    excess = [s.score_test.statistic - s.score_test.degrees_of_freedom for s in scores]
-    return term.template_search == "lag_series" and max(excess, default=-np.inf) < threshold
+    strength = max((score.score_test.excess for score in scores), default=-np.inf)
+    return term.template_search == "lag_series" and strength < threshold
 
 
 def is_lag_significant(projection: NuisanceProjector, tests: int) -> bool:

@@ -169,6 +169,11 @@ class DependenceTest:
     axis: str | None = None  # sensor axis that shows it most; None: no such axis
     log_evidence: float = 0.0  # nats, smooth function against none; 0 for a test of the variance
 
+    @property
+    def excess(self) -> float:
+        """The statistic minus its mean in noise."""
+        return self.statistic - self.degrees_of_freedom
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class UnexplainedResidual:

@@ -16,6 +16,7 @@ from gyrorig_solver.discover.candidate_fits import global_p_value
 from gyrorig_solver.discover.cause_findings import DependenceTest
 from gyrorig_solver.discover.checks.residual_dependence import (
     limited_dependence_tests,
+    most_significant,
     residual_dependence_tests,
 )
 from gyrorig_solver.discover.checks.typical_noise import (
@@ -197,12 +198,9 @@ class MotionFitSpace(FitSpace):
         """Test the residual for smooth functions, and the bias for a random walk."""
         if self.has_typical_noise:
             return residual_dependence_tests(projector)
-        walk = measure_bias_walk(self.solution)
         tests = limited_dependence_tests(
             projector.states,
             partial(self.projector, typical=True),
             partial(build_usual_projector, self.solution),
         )
-        return sorted(
-            [*tests, walk.dependence_test], key=lambda test: (test.p_value, -test.statistic)
-        )
+        return most_significant([*tests, measure_bias_walk(self.solution)])

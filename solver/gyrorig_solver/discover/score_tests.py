@@ -38,6 +38,11 @@ class ScoreTest:
     degrees_of_freedom: int
     one_step_sizes: FloatArray  # (d,), the best sizes of the signals to first order
 
+    @property
+    def excess(self) -> float:
+        """The statistic minus its mean in noise."""
+        return self.statistic - self.degrees_of_freedom
+
     @classmethod
     def of(cls, statistics: ScoreStatistics) -> "ScoreTest":
         """Return the test of signals, without those that the fit absorbs."""

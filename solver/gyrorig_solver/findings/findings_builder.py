@@ -137,7 +137,7 @@ def unexplained_bias_sigma(residual: FoundUnexplained) -> float:
     """
     if residual.leading.covariate == "line":
         return 0.0
-    return math.sqrt(max(0.0, residual.leading.statistic - residual.leading.degrees_of_freedom))
+    return math.sqrt(max(0.0, residual.leading.excess))
 
 
 def figure_key(cause: NamedCause) -> str:

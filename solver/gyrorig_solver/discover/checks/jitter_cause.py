@@ -15,6 +15,7 @@ import numpy as np
 from gyrorig_solver.discover.cause_findings import DependenceTest, DetectionLimit
 from gyrorig_solver.discover.checks.jitter_estimate import JitterEstimate, estimate_jitter
 from gyrorig_solver.discover.checks.model_check import JudgedModel, Verdict
+from gyrorig_solver.discover.checks.residual_dependence import most_significant
 from gyrorig_solver.discover.checks.specification_tests import NEGLIGIBLE_SHARE, REJECTION_LEVEL
 from gyrorig_solver.discover.checks.variance_trend import VarianceTrendTest
 from gyrorig_solver.discover.motion_space import MotionFitSpace
@@ -62,16 +63,13 @@ def _detect_jitter(projection: NuisanceProjector, tests: int, with_motion_noise:
             "time_offset", 0.0,
         )  # fmt: skip
         return Verdict(detection_limits=(limit,))
-    dependence = _find_dependence(estimate)
-    if dependence is not None:
-        return Verdict(rejecting_tests=(dependence,))
+    # The size of true jitter depends on no covariate.
+    modulation = estimate.modulation
+    if modulation is not None and _is_relevant(modulation, estimate):
+        return Verdict(rejecting_tests=(modulation,))
     # A smooth function of the speed can explain the scatter that jitter does not.
     trend = estimate.remaining_trend
-    has_trend = (
-        trend.p_value < REJECTION_LEVEL
-        and trend.statistic - trend.degrees_of_freedom > NEGLIGIBLE_SHARE * estimate.statistic
-    )
-    if has_trend or not estimate.is_distinct:
+    if _is_relevant(trend, estimate) or not estimate.is_distinct:
         return Verdict()
     named = name_outside_fit(
         term,
@@ -81,7 +79,7 @@ def _detect_jitter(projection: NuisanceProjector, tests: int, with_motion_noise:
         statistic=estimate.statistic,
         degrees_of_freedom=1,
         p_value=p_value,
-        posterior=1.0 / (1.0 + sum(float(np.exp(nats)) for _, nats in estimate.rivals)),
+        posterior=1.0 / (1.0 + sum(float(np.exp(nats)) for nats in estimate.rival_nats)),
     )
     return Verdict(named=(named,), explain_tests=partial(_explain_tests, trend))
 
@@ -104,16 +102,9 @@ def _explain_tests(
         for test in tests
         if test.covariate == "moving"
     ]
-    return sorted(remaining, key=lambda test: (test.p_value, -test.statistic))
+    return most_significant(remaining)
 
 
-def _find_dependence(estimate: JitterEstimate) -> DependenceTest | None:
-    """Return the test of a covariate on which the size of the jitter depends; None if none.
-
-    The size of true jitter depends on no covariate.
-    """
-    modulation = estimate.modulation
-    if modulation is None or modulation.p_value >= REJECTION_LEVEL:
-        return None
-    excess = modulation.statistic - modulation.degrees_of_freedom
-    return modulation if excess > NEGLIGIBLE_SHARE * estimate.statistic else None
+def _is_relevant(test: DependenceTest | VarianceTrendTest, estimate: JitterEstimate) -> bool:
+    """Return whether a test rejects a form of the scatter by more than the error of any form."""
+    return test.p_value < REJECTION_LEVEL and test.excess > NEGLIGIBLE_SHARE * estimate.statistic

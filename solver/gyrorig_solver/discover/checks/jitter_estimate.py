@@ -58,7 +58,7 @@ class JitterEstimate:
     std_s: float
     statistic: float  # twice the log-likelihood that the model loses without jitter
     p_value: float  # of a single test
-    rivals: tuple[tuple[str, float], ...]  # other shapes of the variance, nats relative to jitter
+    rival_nats: tuple[float, ...]  # gain of other shapes of the variance, relative to jitter
     is_consistent: bool  # slow and fast coefficients agree
     detectable_s: float  # smallest detectable deviation, with the given power and number of tests
     remaining_trend: VarianceTrendTest  # of the variance without the jitter, by motion and speed
@@ -67,7 +67,7 @@ class JitterEstimate:
     @property
     def is_distinct(self) -> bool:
         """Whether no alternative variance model fits as well."""
-        return self.is_consistent and all(nats < -MIN_LEAD_NATS for _, nats in self.rivals)
+        return self.is_consistent and all(nats < -MIN_LEAD_NATS for nats in self.rival_nats)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -133,21 +133,16 @@ def estimate_jitter(
     jitter = _VarianceModel((rotated**2).ravel(), np.clip(eigenvalues, 0.0, None).ravel())
     size = jitter.most_likely_size()
     gain_nats = jitter.log_likelihood_gain(size)
+    # Two other shapes: scatter that grows with the acceleration but has the spectrum of the noise,
+    # and scatter in motion.
     flat = np.broadcast_to(np.mean(weights**2, axis=1, keepdims=True), weights.shape)
     like_noise = np.einsum("bii,bji->bji", slopes, flat)
-    rivals = {
-        "a scatter that grows with the acceleration as the noise's own spectrum": like_noise,
-        "a scatter that is there while the stage moves": np.broadcast_to(
-            rises[:, None, None], like_noise.shape
-        ),
-    }
+    in_motion = np.broadcast_to(rises[:, None, None], like_noise.shape)
     squares = values.transpose(0, 2, 1) ** 2
-    rival_gains = []
-    for description, shape in rivals.items():
+    rival_nats = []
+    for shape in (like_noise, in_motion):
         other = _VarianceModel(squares.ravel(), np.ascontiguousarray(shape).ravel())
-        rival_gains.append(
-            (description, other.log_likelihood_gain(other.most_likely_size()) - gain_nats)
-        )
+        rival_nats.append(other.log_likelihood_gain(other.most_likely_size()) - gain_nats)
     information = jitter.information(0.0)
     needed = normal_quantile(alpha / tests) + normal_quantile(1.0 - power)
     return JitterEstimate(
@@ -155,7 +150,7 @@ def estimate_jitter(
         std_s=_root_std(size, jitter.information(size)),
         statistic=2.0 * max(gain_nats, 0.0),
         p_value=0.5 * chi2_upper_tail(2.0 * max(gain_nats, 0.0), 1.0),
-        rivals=tuple(rival_gains),
+        rival_nats=tuple(rival_nats),
         is_consistent=_bands_agree(jitter, size, eigenvalues.shape),
         detectable_s=float(np.sqrt(needed / np.sqrt(information))),
         remaining_trend=_remaining_trend(jitter, size, speeds, rotated.shape),

@@ -109,7 +109,7 @@ class JudgedModel(Generic[Space]):
             key=lambda test: (test.covariate in VARIANCE_COVARIATES, -test.log_evidence),
         )
         named = sum(r.statistic for k, r in self.fitted_causes if self.is_named(k))
-        largest = max(test.statistic - test.degrees_of_freedom for test in ordered)
+        largest = max(test.excess for test in ordered)
         share = named / (named + largest) if named > 0.0 else 0.0
         return UnexplainedResidual(ordered[0], tuple(ordered[1:]), share)
 

@@ -64,7 +64,7 @@ def find_partial_explanations(
     for ranked in model.result.ranked_causes:
         covariates = ranked.candidate.extension.term.covariates
         excesses = [
-            test.statistic - test.degrees_of_freedom
+            test.excess
             for test in dependences
             if covariates is None or test.covariate in covariates
         ]
@@ -116,12 +116,8 @@ def _is_dominated(
         statistics.subset(np.arange(whitened.count, whitened.count + cause_signals.count))
     )
     joint_test = ScoreTest.of(statistics)
-    if _excess_statistic(cause_test) >= MIN_EXPLAINED_SHARE * _excess_statistic(function_test):
+    if cause_test.excess >= MIN_EXPLAINED_SHARE * function_test.excess:
         return False
     added_statistic = joint_test.statistic - function_test.statistic
     added_degrees = joint_test.degrees_of_freedom - function_test.degrees_of_freedom
     return added_degrees <= 0 or chi2_upper_tail(max(added_statistic, 0.0), added_degrees) > alpha
-
-
-def _excess_statistic(test: ScoreTest) -> float:
-    return test.statistic - test.degrees_of_freedom

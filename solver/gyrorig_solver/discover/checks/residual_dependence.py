@@ -75,7 +75,7 @@ def limited_dependence_tests(
     typical = _family_tests(typical_projector(), families, tests)
     projection = usual_projector()
     refined = [_refined(test, projection, family, tests) for family, test in typical]
-    return _most_significant([*variance_tests(projection, tests), *refined])
+    return most_significant([*variance_tests(projection, tests), *refined])
 
 
 def dependences_on(
@@ -93,10 +93,10 @@ def dependences_on(
         other_tests: of other covariates, to be listed with them.
     """
     of_families = _family_tests(projection, families, tests)
-    return _most_significant([*other_tests, *(test for _, test in of_families)])
+    return most_significant([*other_tests, *(test for _, test in of_families)])
 
 
-def _most_significant(tests: Iterable[DependenceTest]) -> list[DependenceTest]:
+def most_significant(tests: Iterable[DependenceTest]) -> list[DependenceTest]:
     """Return the most significant test of each covariate, the smallest p-value first."""
     by_covariate: dict[str, DependenceTest] = {}
     for test in tests:

@@ -155,8 +155,8 @@ def find_misspecification(
     )
     if worst is not None:
         worst = replace(worst, p_value=min(1.0, worst.p_value * len(basis_families)))
-        excess = worst.statistic - worst.degrees_of_freedom
-        if worst.p_value < REJECTION_LEVEL and excess > NEGLIGIBLE_SHARE * explained_statistic:
+        is_relevant = worst.excess > NEGLIGIBLE_SHARE * explained_statistic
+        if worst.p_value < REJECTION_LEVEL and is_relevant:
             return worst
     return _likelier_angle_function(model.space, k, ranked) or _likelier_heat(
         model.space, k, ranked

@@ -11,7 +11,7 @@ residual, `whittle_log_likelihood` of a fit, `measure_bias_walk` for an unusual 
 """
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -31,6 +31,7 @@ from gyrorig_solver.estimate import (
     nominal_levels,
     unit_densities,
 )
+from gyrorig_solver.model import XYZ
 from gyrorig_solver.numerics import chi2_upper_tail
 
 WALK_COVARIATE = "wandering"  # the bias is a random walk
@@ -97,16 +98,7 @@ def whittle_log_evidence(solution: ConvergedFit, typical: bool = False) -> float
     return total
 
 
-@dataclass(frozen=True, slots=True)
-class BiasWalkTest:
-    """The excess of the bias' flicker and random walk over those of a typical part."""
-
-    ratio: float  # of amplitudes, the largest of all axes and recordings
-    axis: str
-    dependence_test: DependenceTest
-
-
-def measure_bias_walk(solution: ConvergedFit) -> BiasWalkTest:
+def measure_bias_walk(solution: ConvergedFit) -> DependenceTest:
     """Test by the likelihood ratio whether the bias has an unusual random walk."""
     gains_nats = [profile.gain_nats for profile in profile_walks(solution)]
     unusual = sum(gain > 0.0 for gain in gains_nats)
@@ -115,21 +107,11 @@ def measure_bias_walk(solution: ConvergedFit) -> BiasWalkTest:
     p_value = len(gains_nats) * chi2_upper_tail(statistic, unusual) if unusual else 1.0
     ratios = np.stack([excess_walk(noise) for noise in solution.noises]).max(axis=0)
     worst = int(np.argmax(ratios))
-    ratio = float(ratios[worst])
     description = (
-        f"on the time: the bias wanders {ratio:.1f} times as much as that of a typical sensor"
+        f"on the time: the bias wanders {float(ratios[worst]):.1f} times as much as that of a "
+        f"typical sensor ({XYZ[worst]})"
     )
-    return BiasWalkTest(
-        ratio,
-        "xyz"[worst],
-        DependenceTest(
-            WALK_COVARIATE,
-            f"{description} ({'xyz'[worst]})",
-            statistic,
-            unusual,
-            min(1.0, p_value),
-        ),
-    )
+    return DependenceTest(WALK_COVARIATE, description, statistic, unusual, min(1.0, p_value))
 
 
 def excess_walk(noise: NoiseModel) -> FloatArray:

@@ -24,6 +24,11 @@ class VarianceTrendTest:
     degrees_of_freedom: int
     p_value: float
 
+    @property
+    def excess(self) -> float:
+        """The statistic minus its mean in noise."""
+        return self.statistic - self.degrees_of_freedom
+
 
 NO_TREND = VarianceTrendTest(0.0, 0, 1.0)
 
