@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from typing import Generic
 
 from gyrorig_solver.discover.fit_space import Space
+from gyrorig_solver.discover.score_tests import FALSE_ALARM_RATE
 from gyrorig_solver.estimate import FittedTerm
 from gyrorig_solver.model import term_label
 from gyrorig_solver.numerics import chi2_upper_tail
@@ -32,7 +33,7 @@ class EliminationResult(Generic[Space]):
 
 
 def eliminate_backward(
-    space: Space, known_terms: Sequence[FittedTerm], tests: int, alpha: float
+    space: Space, known_terms: Sequence[FittedTerm], tests: int
 ) -> EliminationResult[Space]:
     """Remove causes whose removal, with a full refit, does not reduce the likelihood significantly.
 
@@ -42,7 +43,6 @@ def eliminate_backward(
         space: the fit at the end of a search.
         known_terms: causes of the base model, which stay.
         tests: how many share the false alarms.
-        alpha: share of recordings without any cause in which a cause may be named.
     """
     eliminated: set[str] = set()
     while True:
@@ -59,14 +59,15 @@ def eliminate_backward(
             gain = reduced.negative_log_likelihood(space) - cost
             end = reduced.convergence
             remaining = 0.0 if end.converged else end.remaining_nats
-            if not end.converged and _p_value(gain - remaining, sizes) * tests > alpha:
+            if not end.converged and _p_value(gain - remaining, sizes) * tests > FALSE_ALARM_RATE:
                 reduced = reduced.refit(others).refit_gain()
                 gain = reduced.negative_log_likelihood(space) - cost
             gain_by_label[term_label(extension.term)] = gain
             p_value = _p_value(gain, sizes) * tests
             if not reduced.convergence.converged:
                 continue
-            if p_value > alpha and (least_significant is None or p_value > least_significant[0]):
+            highest = FALSE_ALARM_RATE if least_significant is None else least_significant[0]
+            if p_value > highest:
                 least_significant = p_value, term_label(extension.term), reduced
         if least_significant is None:
             return EliminationResult(space, frozenset(eliminated), gain_by_label)

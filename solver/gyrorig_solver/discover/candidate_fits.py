@@ -9,9 +9,14 @@ import numpy as np
 
 from gyrorig_solver.discover.exact_fit import FittedCandidate, fit_candidate
 from gyrorig_solver.discover.lag_series import LagSeries
-from gyrorig_solver.discover.score_tests import CandidateScore, scan_catalogue, testable_places
+from gyrorig_solver.discover.score_tests import (
+    FALSE_ALARM_RATE,
+    CandidateScore,
+    scan_catalogue,
+    testable_places,
+)
 from gyrorig_solver.discover.template_choice import all_templates
-from gyrorig_solver.discover.testable_terms import FALSE_ALARM_RATE, testable_instances
+from gyrorig_solver.discover.testable_terms import testable_instances
 from gyrorig_solver.estimate import FittedTerm, NuisanceProjector
 from gyrorig_solver.model import Term, recording_index_of, term_label, value_indices
 from gyrorig_solver.model.catalogue import catalogue

@@ -16,8 +16,7 @@ from gyrorig_solver.discover.exact_fit import FittedCandidate, fit_candidate
 from gyrorig_solver.discover.extended_fit import extend_fit
 from gyrorig_solver.discover.fit_space import FitSpace, Space
 from gyrorig_solver.discover.law_candidates import fit_law_cause, judge_law_cause
-from gyrorig_solver.discover.score_tests import scan_catalogue
-from gyrorig_solver.discover.testable_terms import FALSE_ALARM_RATE
+from gyrorig_solver.discover.score_tests import FALSE_ALARM_RATE, scan_catalogue
 from gyrorig_solver.estimate import FittedTerm, NuisanceProjector
 from gyrorig_solver.model import Term, recording_index_of, term_label
 

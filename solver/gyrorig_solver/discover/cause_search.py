@@ -31,9 +31,9 @@ from gyrorig_solver.discover.fitted_values import wald_p_value
 from gyrorig_solver.discover.held_out_gain import cross_validate_causes
 from gyrorig_solver.discover.law_candidates import fit_law_cause
 from gyrorig_solver.discover.model_evidence import best_model
-from gyrorig_solver.discover.score_tests import CandidateScore, scan_catalogue
+from gyrorig_solver.discover.score_tests import FALSE_ALARM_RATE, CandidateScore, scan_catalogue
 from gyrorig_solver.discover.search_memory import SearchMemory
-from gyrorig_solver.discover.testable_terms import FALSE_ALARM_RATE, count_tests, select_testable
+from gyrorig_solver.discover.testable_terms import count_tests, select_testable
 from gyrorig_solver.estimate import NuisanceProjector
 from gyrorig_solver.model import Term, term_label
 
@@ -227,9 +227,7 @@ class _Search(Generic[Space]):
 
     def _eliminate(self) -> bool:
         """Remove causes that are not needed; return whether the search is complete."""
-        elimination = eliminate_backward(
-            self._space, self._known_terms, self._tests, FALSE_ALARM_RATE
-        )
+        elimination = eliminate_backward(self._space, self._known_terms, self._tests)
         self._gains_by_label = elimination.delta_log_likelihood
         space = self._drop_without_gain(elimination.space)
         is_complete = not elimination.eliminated - self._excluded and space is elimination.space
@@ -289,7 +287,7 @@ class _Search(Generic[Space]):
         if not self._typical:
             return None
         return self._space.noise_alternative(
-            selection.candidate, selection.effective_trials, extended, self._tests, FALSE_ALARM_RATE
+            selection.candidate, selection.effective_trials, extended, self._tests
         )
 
     def _drop_insignificant(self, space: Space) -> Space:

@@ -17,8 +17,7 @@ from gyrorig_solver.discover.exact_fit import fit_candidate
 from gyrorig_solver.discover.extended_fit import refit_events
 from gyrorig_solver.discover.fit_space import Space
 from gyrorig_solver.discover.model_evidence import best_model
-from gyrorig_solver.discover.score_tests import scan_catalogue
-from gyrorig_solver.discover.testable_terms import FALSE_ALARM_RATE
+from gyrorig_solver.discover.score_tests import FALSE_ALARM_RATE, scan_catalogue
 from gyrorig_solver.model import Term, term_label, value_indices
 
 MIN_LEAD_NATS = 1.0  # lead in log evidence by which another fault replaces one fault

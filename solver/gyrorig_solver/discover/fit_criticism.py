@@ -13,8 +13,8 @@ from dataclasses import dataclass
 from gyrorig_solver.discover.cause_findings import CauseFindings, DependenceTest, UntestableCause
 from gyrorig_solver.discover.checks.model_check import DEPENDENCE_FALSE_ALARM_RATE
 from gyrorig_solver.discover.fit_space import FitSpace
-from gyrorig_solver.discover.score_tests import CandidateScore, scan_catalogue
-from gyrorig_solver.discover.testable_terms import FALSE_ALARM_RATE, count_tests, select_testable
+from gyrorig_solver.discover.score_tests import FALSE_ALARM_RATE, CandidateScore, scan_catalogue
+from gyrorig_solver.discover.testable_terms import count_tests, select_testable
 from gyrorig_solver.estimate import GyroFit, NuisanceProjector
 from gyrorig_solver.model import term_label
 from gyrorig_solver.model.catalogue import catalogue

@@ -151,7 +151,7 @@ class FitSpace(ABC):
         return self
 
     def noise_alternative(
-        self, candidate: FittedCandidate, trials: float, extended: Self, tests: int, alpha: float
+        self, candidate: FittedCandidate, trials: float, extended: Self, tests: int
     ) -> NoiseAlternative | None:
         """Return a candidate that a random walk of the bias may explain; None if it is confirmed.
 
@@ -160,9 +160,8 @@ class FitSpace(ABC):
             trials: the effective number of its templates.
             extended: the fit with the candidate.
             tests: how many share the false alarms.
-            alpha: false-alarm rate of all tests together.
         """
-        del candidate, trials, extended, tests, alpha
+        del candidate, trials, extended, tests
         return None
 
 

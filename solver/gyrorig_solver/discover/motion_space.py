@@ -31,6 +31,7 @@ from gyrorig_solver.discover.checks.typical_noise import (
 from gyrorig_solver.discover.exact_fit import FittedCandidate, fit_candidate
 from gyrorig_solver.discover.extended_fit import refit_gain_exactly
 from gyrorig_solver.discover.fit_space import FitSpace, NoiseAlternative, SearchEffort
+from gyrorig_solver.discover.score_tests import FALSE_ALARM_RATE
 from gyrorig_solver.estimate import (
     MAX_EVALUATIONS,
     ConvergedFit,
@@ -159,7 +160,7 @@ class MotionFitSpace(FitSpace):
         return total
 
     def noise_alternative(
-        self, candidate: FittedCandidate, trials: float, extended: Self, tests: int, alpha: float
+        self, candidate: FittedCandidate, trials: float, extended: Self, tests: int
     ) -> NoiseAlternative | None:
         """Return a candidate that the fitted noise levels do not confirm; None if they do.
 
@@ -175,12 +176,12 @@ class MotionFitSpace(FitSpace):
         before, after, extension = self.solution, extended.solution, candidate.extension
         gain_nats = whittle_log_likelihood(after) - whittle_log_likelihood(before)
         with_levels = replace(candidate, delta_log_likelihood=gain_nats)
-        if global_p_value(with_levels, trials, tests) < alpha:
+        if global_p_value(with_levels, trials, tests) < FALSE_ALARM_RATE:
             return None
         refitted = fit_candidate(
             self.projector(), extension.term, candidate.place, [extension.values]
         )
-        if refitted is not None and global_p_value(refitted, trials, tests) < alpha:
+        if refitted is not None and global_p_value(refitted, trials, tests) < FALSE_ALARM_RATE:
             return None
         occam_nats = candidate.delta_log_likelihood - candidate.log_evidence
         evidence = whittle_log_evidence(after, typical=True) - whittle_log_evidence(before)

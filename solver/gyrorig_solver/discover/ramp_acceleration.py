@@ -14,6 +14,7 @@ from gyrorig_solver.data import FloatArray
 from gyrorig_solver.discover.cause_findings import DetectionLimit, NamedCause
 from gyrorig_solver.discover.cause_ranking import CREDIBLE_SET_LEVEL
 from gyrorig_solver.discover.named_causes import ACTING_SIGMA, name_outside_fit
+from gyrorig_solver.discover.score_tests import DETECTION_POWER
 from gyrorig_solver.estimate import ConvergedFit
 from gyrorig_solver.model import term_of_law
 from gyrorig_solver.model.value_format import PAN_TILT
@@ -21,7 +22,6 @@ from gyrorig_solver.numerics import chi2_upper_tail, normal_quantile
 from gyrorig_solver.reference import PanTiltReference
 from gyrorig_solver.reference.unit.law_fit import compare_base_speeds
 
-DETECTION_POWER = 0.8  # power of the test at the smallest detectable size
 # Up to four times the factory setting of 2.9 deg/s.
 BASE_SPEED_GRID_RAD_S = np.geomspace(5e-4, 0.2, 14)
 

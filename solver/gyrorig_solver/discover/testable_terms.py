@@ -1,4 +1,4 @@
-"""The causes that a residual can be tested for, and the false-alarm rate that they share.
+"""The causes that a residual can be tested for.
 
 What to use when: `testable_terms` for the catalogue, `select_testable` for other causes,
 `testable_instances` for one.
@@ -16,11 +16,6 @@ from gyrorig_solver.model import (
     why_not_testable,
 )
 from gyrorig_solver.model.catalogue import catalogue
-
-# Share of recordings without any cause in which the search may name a cause. The tests overlap: 157
-# such recordings had three quarters of the false names that the sum of the tests allows. The rest
-# of 1 % is for the dependence tests, which need to detect only large effects without a known cause.
-FALSE_ALARM_RATE = 0.0075
 
 
 def testable_terms(projection: NuisanceProjector) -> list[Term]:

@@ -57,9 +57,7 @@ def test_what_the_fit_can_do_without_is_refused(base: Fit) -> None:
     )
     terms = testable_terms.testable_terms(NuisanceProjector.at_fit(plain))
     both = MotionFitSpace(refit_with_terms(plain, [gap, idle]))
-    reduced = eliminate_backward(
-        both, (), testable_terms.count_tests(terms), testable_terms.FALSE_ALARM_RATE
-    )
+    reduced = eliminate_backward(both, (), testable_terms.count_tests(terms))
     assert reduced.eliminated == {"worm_error"}
     assert [fitted_term.term.cause for fitted_term in reduced.space.fitted_terms] == ["backlash"]
     assert reduced.delta_log_likelihood["backlash"] > 100.0

@@ -24,7 +24,7 @@ def late(hidden: Callable[..., HiddenRecording]) -> HiddenRecording:
 
 @pytest.mark.long
 def test_its_size_is_found(late: HiddenRecording) -> None:
-    jitter_result = estimate_jitter(_looked(late), TESTS, ALPHA, 0.8)
+    jitter_result = estimate_jitter(_looked(late), TESTS)
     assert jitter_result is not None
     assert jitter_result.is_distinct
     assert abs(jitter_result.deviation_s - 1e-3) < 3.0 * jitter_result.std_s
@@ -41,7 +41,7 @@ def test_it_is_the_sole_name(late: HiddenRecording) -> None:
 
 @pytest.mark.long
 def test_there_is_none_where_nothing_is_hidden(hidden: Callable[..., HiddenRecording]) -> None:
-    jitter_result = estimate_jitter(_looked(hidden(program="survey-40")), TESTS, ALPHA, 0.8)
+    jitter_result = estimate_jitter(_looked(hidden(program="survey-40")), TESTS)
     assert jitter_result is not None
     assert jitter_result.p_value > ALPHA / TESTS
     assert jitter_result.detectable_s < 5e-4
@@ -49,8 +49,6 @@ def test_there_is_none_where_nothing_is_hidden(hidden: Callable[..., HiddenRecor
 
 @pytest.mark.long
 def test_a_smooth_misfit_is_no_jitter(hidden: Callable[..., HiddenRecording]) -> None:
-    jitter_result = estimate_jitter(
-        _looked(hidden("s_curve:0.05", program="survey-40")), TESTS, ALPHA, 0.8
-    )
+    jitter_result = estimate_jitter(_looked(hidden("s_curve:0.05", program="survey-40")), TESTS)
     assert jitter_result is not None
     assert not jitter_result.is_distinct

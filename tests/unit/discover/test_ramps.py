@@ -12,8 +12,7 @@ from gyrorig_solver.discover.checks.ramp_check import RampCheck
 from gyrorig_solver.discover.law_candidates import fit_law_cause
 from gyrorig_solver.discover.motion_space import MotionFitSpace
 from gyrorig_solver.discover.ramp_acceleration import detect_ramp_error
-from gyrorig_solver.discover.score_tests import scan_catalogue
-from gyrorig_solver.discover.testable_terms import FALSE_ALARM_RATE
+from gyrorig_solver.discover.score_tests import FALSE_ALARM_RATE, scan_catalogue
 from gyrorig_solver.model.causes.base_speed_jump import BaseSpeedJump
 
 TESTS = 45

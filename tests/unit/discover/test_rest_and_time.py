@@ -95,9 +95,7 @@ def test_a_rest_does_not_change_the_jitter(
     survey, (_, resting) = hidden("sample_jitter:1e-3", program="survey-40"), pair
     recordings = [survey.recording, resting.recording]
     alone, together = (
-        estimate_jitter(
-            NuisanceProjector.at_fit(fit_base_model(chosen, survey.board)), 60, 0.005, 0.8
-        )
+        estimate_jitter(NuisanceProjector.at_fit(fit_base_model(chosen, survey.board)), 60)
         for chosen in (recordings[:1], recordings)
     )
     assert alone is not None

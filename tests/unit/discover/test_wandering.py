@@ -46,7 +46,7 @@ def test_where_flicker_says_it_as_well_there_is_no_name(hidden: Callable[..., An
 def test_over_longer_it_is_named(hidden: Callable[..., Any]) -> None:
     session = hidden("bias_random_walk:0.0003", program="survey-130")
     solution = fit_base_model([session.recording], session.board)
-    cause = detect_random_walk(solution, tests=80, alpha=0.0075)
+    cause = detect_random_walk(solution, tests=80)
     assert cause is not None
     assert cause.candidates == ("bias_random_walk",)
     assert all(0.0 < value.std < value.value for value in cause.values[:2])  # hardly any on z
@@ -126,7 +126,7 @@ def test_an_ordinary_part_is_calm(hidden: Callable[..., Any]) -> None:
     solution = fit_base_model([session.recording], session.board)
     assert has_typical_noise(solution)
     assert measure_bias_walk(solution).p_value == 1.0
-    assert detect_random_walk(solution, tests=80, alpha=0.0075) is None
+    assert detect_random_walk(solution, tests=80) is None
 
 
 def test_levels_are_calm_by_ratio_however_small(hidden: Callable[..., Any]) -> None:

@@ -38,8 +38,8 @@ from gyrorig_solver.discover.cause_search import search_causes
 from gyrorig_solver.discover.exact_fit import FittedCandidate
 from gyrorig_solver.discover.fit_explanation import explain_search
 from gyrorig_solver.discover.motion_space import MotionFitSpace
-from gyrorig_solver.discover.score_tests import scan_catalogue
-from gyrorig_solver.discover.testable_terms import FALSE_ALARM_RATE, count_tests, testable_terms
+from gyrorig_solver.discover.score_tests import FALSE_ALARM_RATE, scan_catalogue
+from gyrorig_solver.discover.testable_terms import count_tests, testable_terms
 from gyrorig_solver.estimate import (
     MIN_HOMOGENEITY_P,
     ConvergedFit,

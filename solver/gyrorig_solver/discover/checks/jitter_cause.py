@@ -20,12 +20,11 @@ from gyrorig_solver.discover.checks.specification_tests import NEGLIGIBLE_SHARE,
 from gyrorig_solver.discover.checks.variance_trend import VarianceTrendTest
 from gyrorig_solver.discover.motion_space import MotionFitSpace
 from gyrorig_solver.discover.named_causes import name_outside_fit
-from gyrorig_solver.discover.testable_terms import FALSE_ALARM_RATE
+from gyrorig_solver.discover.score_tests import FALSE_ALARM_RATE
 from gyrorig_solver.estimate import NuisanceProjector
 from gyrorig_solver.model.causes.sample_jitter import SampleJitter
 
 JITTER_COVARIATES = ("acceleration_scatter", "moving")  # nameless tests that show jitter
-DETECTION_POWER = 0.8  # power of the test at the smallest detectable size
 
 
 class JitterCheck:
@@ -49,9 +48,7 @@ class JitterCheck:
 
 
 def _detect_jitter(projection: NuisanceProjector, tests: int, with_motion_noise: bool) -> Verdict:
-    estimate = estimate_jitter(
-        projection, tests, FALSE_ALARM_RATE, DETECTION_POWER, with_motion_noise
-    )
+    estimate = estimate_jitter(projection, tests, with_motion_noise)
     if estimate is None:
         return Verdict()
     term = SampleJitter()

@@ -35,6 +35,7 @@ from gyrorig_solver.discover.checks.variance_trend import (
     fit_variance_trend,
     speed_shapes,
 )
+from gyrorig_solver.discover.score_tests import DETECTION_POWER, FALSE_ALARM_RATE
 from gyrorig_solver.estimate import NoiseModel, NuisanceProjector
 from gyrorig_solver.model.causes.sample_jitter import SampleJitter
 from gyrorig_solver.numerics import chi2_upper_tail, normal_quantile
@@ -60,7 +61,7 @@ class JitterEstimate:
     p_value: float  # of a single test
     rival_nats: tuple[float, ...]  # gain of other shapes of the variance, relative to jitter
     is_consistent: bool  # slow and fast coefficients agree
-    detectable_s: float  # smallest detectable deviation, with the given power and number of tests
+    detectable_s: float  # smallest detectable deviation, for the number of tests
     remaining_trend: VarianceTrendTest  # of the variance without the jitter, by motion and speed
     modulation: DependenceTest | None  # of its size, by the most significant covariate
 
@@ -108,8 +109,6 @@ class _VarianceModel:
 def estimate_jitter(
     projection: NuisanceProjector,
     tests: int,
-    alpha: float,
-    power: float,
     with_motion_noise: bool = False,
 ) -> JitterEstimate | None:
     """Estimate the jitter in a fit's residual; None without accelerations.
@@ -117,8 +116,6 @@ def estimate_jitter(
     Args:
         projection: the nuisance projector at the fit.
         tests: how many share the false alarms, for the detectable size.
-        alpha: false-alarm rate of all tests together.
-        power: probability that a detectable size is detected.
         with_motion_noise: in addition to the noise in motion of the fit. Otherwise the noise is
             that at rest, and jitter and noise in motion both compete for the whole scatter.
     """
@@ -144,7 +141,7 @@ def estimate_jitter(
         other = _VarianceModel(squares.ravel(), np.ascontiguousarray(shape).ravel())
         rival_nats.append(other.log_likelihood_gain(other.most_likely_size()) - gain_nats)
     information = jitter.information(0.0)
-    needed = normal_quantile(alpha / tests) + normal_quantile(1.0 - power)
+    needed = normal_quantile(FALSE_ALARM_RATE / tests) + normal_quantile(1.0 - DETECTION_POWER)
     return JitterEstimate(
         deviation_s=float(np.sqrt(size)),
         std_s=_root_std(size, jitter.information(size)),

@@ -7,7 +7,7 @@ import numpy as np
 from gyrorig_solver.discover.checks.model_check import JudgedModel, Verdict
 from gyrorig_solver.discover.motion_space import MotionFitSpace
 from gyrorig_solver.discover.ramp_acceleration import detect_ramp_error
-from gyrorig_solver.discover.testable_terms import FALSE_ALARM_RATE
+from gyrorig_solver.discover.score_tests import FALSE_ALARM_RATE
 from gyrorig_solver.model import Stage, term_of_law
 from gyrorig_solver.model.catalogue import catalogue
 

@@ -34,7 +34,7 @@ from gyrorig_solver.discover.checks.walk_profile import (
 from gyrorig_solver.discover.fit_space import NoiseAlternative
 from gyrorig_solver.discover.motion_space import MotionFitSpace
 from gyrorig_solver.discover.named_causes import name_outside_fit
-from gyrorig_solver.discover.testable_terms import FALSE_ALARM_RATE
+from gyrorig_solver.discover.score_tests import FALSE_ALARM_RATE
 from gyrorig_solver.estimate import (
     ConvergedFit,
 )
@@ -59,9 +59,7 @@ class RandomWalkCheck:
         If the residual still depends on another covariate, the walk is not named.
         """
         solution = model.space.solution
-        walk = detect_random_walk(
-            solution, model.tests, FALSE_ALARM_RATE, model.result.noise_alternatives
-        )
+        walk = detect_random_walk(solution, model.tests, model.result.noise_alternatives)
         if walk is None:
             return Verdict()
         projector = model.space.projector()
@@ -79,7 +77,6 @@ class RandomWalkCheck:
 def detect_random_walk(
     solution: ConvergedFit,
     tests: int,
-    alpha: float,
     noise_alternatives: Sequence[NoiseAlternative] = (),
 ) -> NamedCause | None:
     """Return a bias random walk as a named cause; None if it is typical or the bias has jumps.
@@ -87,7 +84,6 @@ def detect_random_walk(
     Args:
         solution: the last fit of a search.
         tests: how many share the false alarms.
-        alpha: false-alarm rate of all tests together.
         noise_alternatives: causes that are significant with typical noise levels only.
     """
     if has_typical_noise(solution):
@@ -98,7 +94,7 @@ def detect_random_walk(
     if _residual_has_jumps(solution, axis_gains > ACTING_NATS):
         return None
     p_value = min(1.0, chi2_upper_tail(2.0 * gain, float(np.sum(axis_gains > 0.0))) * tests)
-    if p_value >= alpha:
+    if p_value >= FALSE_ALARM_RATE:
         return None
     shares = [
         float(np.exp(min(profile.log_evidence, MAX_LOG_LEVEL_SHIFT)))

@@ -21,8 +21,7 @@ from gyrorig_solver.discover.checks.model_check import JudgedModel, Verdict
 from gyrorig_solver.discover.checks.smooth_alternatives import smooth_families
 from gyrorig_solver.discover.checks.specification_tests import is_better_than_functions
 from gyrorig_solver.discover.fit_space import Space
-from gyrorig_solver.discover.score_tests import ScoreTest
-from gyrorig_solver.discover.testable_terms import FALSE_ALARM_RATE
+from gyrorig_solver.discover.score_tests import FALSE_ALARM_RATE, ScoreTest
 from gyrorig_solver.estimate import FittedTerm, NuisanceProjector, WhitenedSignals, join_signals
 from gyrorig_solver.numerics import chi2_upper_tail
 
