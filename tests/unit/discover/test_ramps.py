@@ -8,10 +8,9 @@ from tests.support.board_fits import fit_base_model
 
 from gyrorig_solver.discover.cause_search import SearchResult
 from gyrorig_solver.discover.checks.model_check import JudgedModel
-from gyrorig_solver.discover.checks.ramp_check import RampCheck
+from gyrorig_solver.discover.checks.ramp_check import RampCheck, detect_ramp_error
 from gyrorig_solver.discover.law_candidates import fit_law_cause
 from gyrorig_solver.discover.motion_space import MotionFitSpace
-from gyrorig_solver.discover.ramp_acceleration import detect_ramp_error
 from gyrorig_solver.discover.score_tests import FALSE_ALARM_RATE, scan_catalogue
 from gyrorig_solver.model.causes.base_speed_jump import BaseSpeedJump
 
@@ -21,23 +20,19 @@ TESTS = 45
 @pytest.mark.long
 def test_ramps_that_are_not_as_told_have_a_name(hidden: Callable[..., Any]) -> None:
     session = hidden("acceleration_error@tilt:-0.01", seed=7)
-    ramps = detect_ramp_error(
-        fit_base_model([session.recording], session.board), TESTS, FALSE_ALARM_RATE
-    )
-    assert ramps.named is not None
-    assert ramps.named.where == ("tilt",)
-    tilt = ramps.named.values[1]
+    solution = fit_base_model([session.recording], session.board)
+    (named,) = detect_ramp_error(solution, TESTS).named
+    assert named.where == ("tilt",)
+    tilt = named.values[1]
     assert tilt.value == pytest.approx(-0.01, abs=4.0 * tilt.std)
     assert tilt.std < 1e-3
-    assert not ramps.named.extension.free_indices.size  # the base model has them: nothing to fit
+    assert not named.extension.free_indices.size  # the base model has them: nothing to fit
 
 
 def test_ramps_as_told_have_none_and_a_limit(hidden: Callable[..., Any]) -> None:
     session = hidden(seed=7)
-    ramps = detect_ramp_error(
-        fit_base_model([session.recording], session.board), TESTS, FALSE_ALARM_RATE
-    )
-    assert ramps.named is None
+    ramps = detect_ramp_error(fit_base_model([session.recording], session.board), TESTS)
+    assert not ramps.named
     assert [detection_limit.where for detection_limit in ramps.detection_limits] == ["pan", "tilt"]
     assert all(1e-5 < detection_limit.size < 1e-2 for detection_limit in ramps.detection_limits)
 
