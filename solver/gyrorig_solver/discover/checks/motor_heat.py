@@ -5,8 +5,7 @@ then follows the time for which the motors have run, with a lag. If a program mo
 time, this looks like a warm-up, a step or a random walk of the bias. No cause of the catalogue has
 this form; see decision 0074.
 
-What to use when: `motor_heat_family` as one of the functions that a named cause must lead;
-`likelier_motor_heat` for the test that removes a name.
+What to use when: `motor_heat_families` as one of the functions that a named cause must lead.
 """
 
 from collections.abc import Sequence
@@ -14,11 +13,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from gyrorig_solver.data import FloatArray
-from gyrorig_solver.discover.cause_findings import DependenceTest
 from gyrorig_solver.discover.checks.basis_family import BasisFamily
-from gyrorig_solver.discover.checks.residual_dependence import smooth_function_evidence
 from gyrorig_solver.discover.checks.smooth_alternatives import on_each_axis
-from gyrorig_solver.estimate import NuisanceProjector
 from gyrorig_solver.model import Signals, SignalState
 
 COVARIATE = "motor_heat"
@@ -26,37 +22,16 @@ COVARIATE = "motor_heat"
 LAGS_S = np.array([3.0, 10.0, 30.0, 100.0])
 
 
-def motor_heat_family(scenes: Sequence[SignalState]) -> BasisFamily | None:
-    """Return the bias of each axis that lags behind the running motors; None without moves.
+def motor_heat_families(scenes: Sequence[SignalState]) -> list[BasisFamily]:
+    """Return the bias of each axis that lags behind the running motors; none without moves.
 
     There is one signal per axis and lag.
     """
     if not any(scene.context.motion_profiles for scene in scenes):
-        return None
+        return []
     description = "on how long the motors have run (the bias changes)"
     detail = np.ones(3 * LAGS_S.size)
-    return BasisFamily(COVARIATE, description, (_heat_signals,), detail)
-
-
-def likelier_motor_heat(
-    projector: NuisanceProjector, cause_nats: float, needed_nats: float
-) -> DependenceTest | None:
-    """Return the test that the bias follows the motors' heat rather than a cause; None if not.
-
-    Args:
-        projector: the nuisance projector at the fit without the cause.
-        cause_nats: the log evidence of the cause, relative to no cause.
-        needed_nats: the lead in log evidence that the heat needs.
-    """
-    family = motor_heat_family(projector.states)
-    if family is None:
-        return None
-    lead_nats = smooth_function_evidence(family.statistics(projector), family.detail) - cause_nats
-    if lead_nats <= needed_nats:
-        return None
-    return DependenceTest(
-        family.covariate, family.description, 2.0 * lead_nats, 1, float(np.exp(-lead_nats))
-    )
+    return [BasisFamily(COVARIATE, description, (_heat_signals,), detail)]
 
 
 def lagged_running_share(spans_s: FloatArray, lags_s: FloatArray, time_s: FloatArray) -> FloatArray:

@@ -21,8 +21,11 @@ from gyrorig_solver.discover.checks.model_check import (
     JudgedModel,
     Verdict,
 )
-from gyrorig_solver.discover.checks.motor_heat import likelier_motor_heat
-from gyrorig_solver.discover.checks.residual_dependence import residual_dependence_tests
+from gyrorig_solver.discover.checks.motor_heat import motor_heat_families
+from gyrorig_solver.discover.checks.residual_dependence import (
+    find_likelier_function,
+    residual_dependence_tests,
+)
 from gyrorig_solver.discover.checks.specification_tests import DECISIVE_NATS
 from gyrorig_solver.discover.checks.typical_noise import (
     has_typical_noise,
@@ -65,7 +68,8 @@ class RandomWalkCheck:
         projector = model.space.projector()
         # The noise levels contain the walk. If the bias still follows the motors' heat, it has no
         # random walk.
-        heat = likelier_motor_heat(projector, 0.0, DECISIVE_NATS)
+        heat_families = motor_heat_families(projector.states)
+        heat = find_likelier_function(projector, heat_families, 0.0, DECISIVE_NATS)
         if heat is not None:
             return Verdict(rejecting_tests=(heat,))
         tests = residual_dependence_tests(projector)

@@ -6,7 +6,8 @@ cause explains is reported as "unexplained, depends on X". If several covariates
 is the covariate whose smooth function has the most evidence.
 
 What to use when: `residual_dependence_tests` for all tests, `limited_dependence_tests` if the noise
-is not typical, `dependences_on` for chosen functions; `variance_tests` for the variance.
+is not typical, `dependences_on` for chosen functions; `variance_tests` for the variance;
+`find_likelier_function` for a function that is more probable than a cause.
 """
 
 from collections.abc import Callable, Iterable, Sequence
@@ -223,6 +224,32 @@ def smooth_function_evidence(statistics: ScoreStatistics, detail: FloatArray) ->
     gain = VARIANCE_GRID[:, None] / float(kept_eigenvalues.max()) * kept_eigenvalues
     nats = 0.5 * np.sum(explained * gain / (1.0 + gain) - np.log1p(gain), axis=1)
     return max(0.0, float(nats.max()))
+
+
+def find_likelier_function(
+    projection: NuisanceProjector,
+    families: Iterable[BasisFamily],
+    cause_nats: float,
+    needed_nats: float,
+) -> DependenceTest | None:
+    """Return the test that a smooth function is far more probable than a cause; None if none is.
+
+    Its statistic and p-value are those of the odds.
+
+    Args:
+        projection: the nuisance projector at the fit without the cause.
+        families: smooth functions of covariates; the first one with the needed lead is returned.
+        cause_nats: the log evidence of the cause, relative to no cause.
+        needed_nats: the lead in log evidence that the function needs.
+    """
+    for family in families:
+        statistics = family.statistics(projection)
+        lead_nats = smooth_function_evidence(statistics, family.detail) - cause_nats
+        if lead_nats > needed_nats:
+            return DependenceTest(
+                family.covariate, family.description, 2.0 * lead_nats, 1, float(np.exp(-lead_nats))
+            )
+    return None
 
 
 def variance_tests(projection: NuisanceProjector, tests: int) -> list[DependenceTest]:

@@ -23,17 +23,16 @@ Source: score test, Rao, Linear Statistical Inference, 6e; smooth tests of fit, 
 
 from dataclasses import replace
 
-import numpy as np
-
 from gyrorig_solver.data import FloatArray
 from gyrorig_solver.discover.candidate_fits import global_p_value
 from gyrorig_solver.discover.cause_findings import DependenceTest
 from gyrorig_solver.discover.cause_ranking import MODEL_ERROR_SHARE, RankedCause
 from gyrorig_solver.discover.checks.basis_family import BasisFamily
 from gyrorig_solver.discover.checks.model_check import JudgedModel, Verdict
-from gyrorig_solver.discover.checks.motor_heat import likelier_motor_heat, motor_heat_family
+from gyrorig_solver.discover.checks.motor_heat import motor_heat_families
 from gyrorig_solver.discover.checks.residual_dependence import (
     choose_detail,
+    find_likelier_function,
     smooth_function_evidence,
 )
 from gyrorig_solver.discover.checks.smooth_alternatives import (
@@ -105,9 +104,8 @@ def best_function_nats(projector: NuisanceProjector, covariate: str | None = Non
         projector: the nuisance projector at a fit.
         covariate: the covariate of the functions; None: all covariates.
     """
-    heat = motor_heat_family(projector.states)
     nats_of_function: dict[tuple[str, str], float] = {}
-    for family in (*smooth_families(projector.states), *([heat] if heat else [])):
+    for family in (*smooth_families(projector.states), *motor_heat_families(projector.states)):
         if covariate not in (None, family.covariate):
             continue
         # Each recording has its own function of the time. Their evidences add.
@@ -158,45 +156,32 @@ def find_misspecification(
         is_relevant = worst.excess > NEGLIGIBLE_SHARE * explained_statistic
         if worst.p_value < REJECTION_LEVEL and is_relevant:
             return worst
-    return _likelier_angle_function(model.space, k, ranked) or _likelier_heat(
-        model.space, k, ranked
-    )
+    return _likelier_function(model.space, k, ranked)
 
 
-def _likelier_angle_function(space: FitSpace, k: int, ranked: RankedCause) -> DependenceTest | None:
-    """Return the test of a smooth function of an angle that is far more probable than the cause.
+def _likelier_function(space: FitSpace, k: int, ranked: RankedCause) -> DependenceTest | None:
+    """Return the test of a smooth function that is far more probable than a cause; None if none is.
 
-    None if there is no such function. A form with a few unknowns can imitate another function of
-    the angle, with large sizes that cancel over the measured range. The evidence of the cause
-    contains the penalty for these sizes.
+    The functions are those of the angles of the cause. A form with a few unknowns can imitate
+    another function of the angle, with large sizes that cancel over the measured range. The
+    evidence of the cause contains the penalty for these sizes. A cause of the time also competes
+    with a bias that follows the heat of the motors.
     """
-    covariates = space.fitted_terms[k].term.covariates or ()
+    term, candidate = space.fitted_terms[k].term, ranked.candidate
+    covariates = term.covariates or ()
     angle_covariates = [name for name in covariates if name in ANGLE_COVARIATES]
-    if not angle_covariates:
+    is_slow = "bias_time" in covariates and term.template_search != "spectral_lines"
+    if not angle_covariates and not is_slow:
         return None
-    candidate, projector = ranked.candidate, space.projector_without(k)
-    for family in smooth_families(projector.states):
-        if family.covariate in angle_covariates:
-            lead_nats = (
-                smooth_function_evidence(family.statistics(projector), family.detail)
-                - candidate.log_evidence
-            )
-            if lead_nats > max(DECISIVE_NATS, NEGLIGIBLE_SHARE * candidate.delta_log_likelihood):
-                relative_odds = float(np.exp(-lead_nats))
-                return DependenceTest(
-                    family.covariate, family.description, 2.0 * lead_nats, 1, relative_odds
-                )
-    return None
-
-
-def _likelier_heat(space: FitSpace, k: int, ranked: RankedCause) -> DependenceTest | None:
-    """Return the test that the bias follows the motors' heat rather than a cause of the time."""
-    term = space.fitted_terms[k].term
-    if "bias_time" not in (term.covariates or ()) or term.template_search == "spectral_lines":
-        return None
-    candidate = ranked.candidate
+    projector = space.projector_without(k)
+    families = [
+        family
+        for family in (smooth_families(projector.states) if angle_covariates else ())
+        if family.covariate in angle_covariates
+    ]
+    families += motor_heat_families(projector.states) if is_slow else []
     needed_nats = max(DECISIVE_NATS, NEGLIGIBLE_SHARE * candidate.delta_log_likelihood)
-    return likelier_motor_heat(space.projector_without(k), candidate.log_evidence, needed_nats)
+    return find_likelier_function(projector, families, candidate.log_evidence, needed_nats)
 
 
 def nonparametric_specification_test(
