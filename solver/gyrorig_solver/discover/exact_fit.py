@@ -110,8 +110,7 @@ def _summarize(objective: CandidateObjective, state: LocalExpansion) -> FittedCa
         p = objective.parameters[index]
         if p.role == "size":
             width[k] = p.prior_std
-            relative = float(state.values[index]) / p.typical_size
-            evidence -= float(np.log(np.pi * p.typical_size * (1.0 + relative**2)))
+            evidence += p.log_prior_of_size(float(state.values[index]))
         else:
             span = p.upper - p.lower
             width[k] = span if np.isfinite(span) else context.end_s - context.begin_s

@@ -15,7 +15,7 @@ from typing import Generic
 
 import numpy as np
 
-from gyrorig_solver.data import FloatArray, IntArray
+from gyrorig_solver.data import FloatArray
 from gyrorig_solver.discover.exact_fit import FittedCandidate
 from gyrorig_solver.discover.fit_space import Space
 from gyrorig_solver.discover.fitted_values import value_positions
@@ -119,7 +119,7 @@ def judge_law_cause(
     # explains badly.
     gain_nats -= OUTLIER_NATS * (space.outliers - without.outliers)
     extension, covariance = space.fitted_terms[k], _value_covariance(space, k)
-    evidence = gain_nats + _occam_nats(extension, extension.free_indices, covariance)
+    evidence = gain_nats + _occam_nats(extension, covariance)
     return FittedCandidate(
         extension=extension,
         place=place,
@@ -137,18 +137,16 @@ def _value_covariance(space: Space, k: int) -> FloatArray:
     return np.asarray(covariance[np.ix_(positions, positions)], dtype=np.float64)
 
 
-def _occam_nats(extension: FittedTerm, indices: IntArray, covariance: FloatArray) -> float:
-    """Return the logarithm of the Occam factor of some sizes; `covariance`: of these sizes.
+def _occam_nats(extension: FittedTerm, covariance: FloatArray) -> float:
+    """Return the logarithm of the Occam factor of the fitted sizes; `covariance`: of these sizes.
 
     A size that the data do not determine has the width of its prior and the factor 1.
     """
-    parameters = value_parameters(extension.term)
+    parameters, indices = value_parameters(extension.term), extension.free_indices
     # A normal prior of this width has the same density at zero as the Cauchy prior.
     width = np.sqrt(np.pi / 2.0) * np.array([parameters[index].typical_size for index in indices])
     limited = covariance - covariance @ np.linalg.solve(covariance + np.diag(width**2), covariance)
     nats = 0.5 * float(np.linalg.slogdet(2.0 * np.pi * limited)[1])
     for index in indices:
-        typical = parameters[index].typical_size
-        relative = float(extension.values[index]) / typical
-        nats -= float(np.log(np.pi * typical * (1.0 + relative**2)))
+        nats += parameters[index].log_prior_of_size(float(extension.values[index]))
     return nats

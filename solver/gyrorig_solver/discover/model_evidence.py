@@ -60,8 +60,7 @@ def _occam_nats(space: FitSpace) -> float:
         for index in fitted_term.free_indices:
             parameter = parameters[index]
             if parameter.role == "size":
-                relative = float(fitted_term.values[index]) / parameter.typical_size
-                total -= float(np.log(np.pi * parameter.typical_size * (1.0 + relative**2)))
+                total += parameter.log_prior_of_size(float(fitted_term.values[index]))
             else:
                 span = parameter.upper - parameter.lower
                 total -= float(np.log(span if np.isfinite(span) else parameter.prior_std))

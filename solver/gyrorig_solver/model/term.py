@@ -6,6 +6,7 @@ A fit uses `effect` and `jacobian`. The function `why_not_testable` of `testabil
 `tangent_signals`. Reports use the card: title, remedy, picture and so on.
 """
 
+import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 
@@ -72,6 +73,11 @@ class TermParameter:
     def value_names(self) -> tuple[str, ...]:
         """The name of each value, as in a covariance."""
         return tuple(f"{self.name}.{part}" for part in self.components) or (self.name,)
+
+    def log_prior_of_size(self, value: float) -> float:
+        """Return the logarithm of the prior density of a size, a Cauchy distribution."""
+        relative = value / self.typical_size
+        return -math.log(math.pi * self.typical_size * (1.0 + relative**2))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
