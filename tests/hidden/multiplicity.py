@@ -61,7 +61,7 @@ class Bank:
     @classmethod
     def make(cls, projection: NuisanceProjector, term: Term) -> "Bank":
         """Return the bank of a cause, with `MAX_ROWS` rows at most."""
-        rows = all_templates(projection, term)
+        rows, _ = all_templates(projection, term)
         size = np.abs(rows[:, value_indices(term, role="size")]).max(axis=1)
         # to first order, as in the search
         rows = rows[size == 0.0] if (size == 0.0).any() else rows

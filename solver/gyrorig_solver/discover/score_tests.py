@@ -118,7 +118,7 @@ def scan_catalogue(
     projection: NuisanceProjector,
     terms: Iterable[Term],
     tests: int,
-    templates: FloatArray | None = None,
+    templates: tuple[FloatArray, int] | None = None,
 ) -> list[CandidateScore]:
     """Return the best score of each cause at each place, the smallest p-value first.
 
@@ -126,7 +126,8 @@ def scan_catalogue(
         projection: the nuisance projector at the fit.
         terms: the causes to test.
         tests: how many share the false alarms.
-        templates: for a single cause, the rows of its bank that are tested instead.
+        templates: for a single cause, the rows of its bank that are tested instead, and the number
+            of scanned rows, from which they were chosen.
     """
     scores: list[CandidateScore] = []
     for term in terms:
@@ -134,11 +135,7 @@ def scan_catalogue(
         if law is not None:
             scores += _score_law_term(term, law, tests)
             continue
-        chosen, scanned = (
-            (templates, len(templates))
-            if templates is not None
-            else quick_templates(projection, term)
-        )
+        chosen, scanned = templates or quick_templates(projection, term)
         scores += _scan_term(projection, term, chosen, scanned, tests)
     return sorted(scores, key=lambda score: (score.p_value, -score.score_test.statistic))
 

@@ -34,18 +34,14 @@ def folded_periods(frequency_hz: FloatArray, rate_hz: float, length_s: float) ->
 
 
 def quick_templates(projection: NuisanceProjector, term: Term) -> tuple[FloatArray, int]:
-    """Return templates (b, k) for a scan of the catalogue, and the number of scanned templates."""
-    if term.template_search == "pulses":
-        return _lost_step_templates(projection, term)
-    if term.template_search == "spectral_lines":
-        return _line_templates(projection, term)
-    if term.template_search == "lag_series":
-        templates = lag_templates(projection, term)
-        return templates, len(templates)
-    templates = all_templates(projection, term)
-    # A mode is as narrow as its damping, so that no other template shows it.
-    if term.template_search == "full_grid":
-        return templates, len(templates)
+    """Return templates (b, k) for a scan of the catalogue, and the number of scanned templates.
+
+    They are some templates of a grid, and all templates of any other kind. For example, a mode is
+    as narrow as its damping, so that no other template shows it.
+    """
+    templates, scanned = all_templates(projection, term)
+    if term.template_search != "grid":
+        return templates, scanned
     sizes = np.abs(templates[:, value_indices(term, role="size")]).max(axis=1)
     if (sizes == 0.0).any():
         templates = templates[sizes == 0.0]
@@ -55,17 +51,21 @@ def quick_templates(projection: NuisanceProjector, term: Term) -> tuple[FloatArr
     return templates[chosen], len(templates)
 
 
-def all_templates(projection: NuisanceProjector, term: Term) -> FloatArray:
-    """Return all templates, (b, k); for pulses, lines and lags, those that fit the residual."""
+def all_templates(projection: NuisanceProjector, term: Term) -> tuple[FloatArray, int]:
+    """Return all templates (b, k), and the number of scanned templates.
+
+    For pulses, lines and lags, the templates are those that fit the residual best.
+    """
     if term.template_search == "pulses":
-        return _lost_step_templates(projection, term)[0]
+        return _lost_step_templates(projection, term)
     if term.template_search == "spectral_lines":
-        return _line_templates(projection, term)[0]
+        return _line_templates(projection, term)
     if term.template_search == "lag_series":
-        return lag_templates(projection, term)
-    return np.unique(
-        np.concatenate([term.template_bank(scene) for scene in projection.states]), axis=0
-    )
+        templates = lag_templates(projection, term)
+    else:
+        banks = [term.template_bank(scene) for scene in projection.states]
+        templates = np.unique(np.concatenate(banks), axis=0)
+    return templates, len(templates)
 
 
 def _lost_step_templates(projection: NuisanceProjector, term: Term) -> tuple[FloatArray, int]:

@@ -33,7 +33,7 @@ def drifting(hidden: Callable[..., Any]) -> NuisanceProjector:
 
 @pytest.mark.long
 def test_none_is_looked_for_where_it_would_be_a_drift(drifting: NuisanceProjector) -> None:
-    rows = all_templates(drifting, HUM)
+    rows, _ = all_templates(drifting, HUM)
     assert rows.size
     (scene,) = drifting.states
     length_s = scene.context.end_s - scene.context.begin_s

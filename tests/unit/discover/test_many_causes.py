@@ -38,7 +38,7 @@ def test_lost_steps_are_looked_for_when_a_clock_step_has_moved_them(tmp_path: Pa
     )
     lost_steps = catalogue()["lost_steps"]
     before, after = (
-        all_templates(NuisanceProjector.at_fit(solution), lost_steps)[0, -1]
+        all_templates(NuisanceProjector.at_fit(solution), lost_steps)[0][0, -1]
         for solution in (base, stepped)
     )
     assert after - before == pytest.approx(CLOCK_STEP_S, abs=6e-3)

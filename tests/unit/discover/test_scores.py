@@ -9,7 +9,7 @@ from tests.support.board_fits import fit_base_model
 
 from gyrorig_solver.discover import score_tests
 from gyrorig_solver.discover.score_tests import ScoreTest, scan_catalogue
-from gyrorig_solver.discover.template_choice import quick_templates
+from gyrorig_solver.discover.template_choice import all_templates, quick_templates
 from gyrorig_solver.estimate import NuisanceProjector, WhitenedSignals
 from gyrorig_solver.model.catalogue import catalogue
 
@@ -27,14 +27,26 @@ def projection(hidden: Callable[..., Any]) -> NuisanceProjector:
 def test_rows_together_are_rows_one_by_one(projection: NuisanceProjector, cause: str) -> None:
     term = catalogue()[cause]
     rows, _ = quick_templates(projection, term)
-    together = {s.place: s for s in scan_catalogue(projection, [term], 40, rows)}
+    together = {s.place: s for s in scan_catalogue(projection, [term], 40, (rows, len(rows)))}
     apart = [
-        {s.place: s for s in scan_catalogue(projection, [term], 40, row[None])} for row in rows
+        {s.place: s for s in scan_catalogue(projection, [term], 40, (row[None], 1))} for row in rows
     ]
     for place, sight in together.items():
         most = max(scores[place].score_test.statistic for scores in apart if place in scores)
         assert sight.score_test.statistic == pytest.approx(most, rel=1e-6)
         assert len(sight.detectable_sizes) == len(rows)
+
+
+@pytest.mark.parametrize("cause", ["lost_steps", "supply_hum"])
+def test_templates_that_were_scanned_count_although_few_are_tested(
+    projection: NuisanceProjector, cause: str
+) -> None:
+    """Both scans take the pulses or lines at the peaks of the residual, out of the same ones."""
+    term = catalogue()[cause]
+    quick = scan_catalogue(projection, [term], 40)
+    every = scan_catalogue(projection, [term], 40, all_templates(projection, term))
+    assert [score.effective_trials for score in every] == [s.effective_trials for s in quick]
+    assert min(score.effective_trials for score in every) > 100.0
 
 
 @pytest.mark.parametrize("cause", CAUSES)
