@@ -35,8 +35,8 @@ from gyrorig_solver.discover.fit_space import FitSpace, Space
 from gyrorig_solver.discover.held_out_gain import cross_validate_causes
 from gyrorig_solver.discover.motion_space import MotionFitSpace
 from gyrorig_solver.discover.named_causes import name_cause
-from gyrorig_solver.discover.score_tests import CandidateScore
-from gyrorig_solver.discover.testable_terms import form_of
+from gyrorig_solver.discover.score_tests import CandidateScore, scan_catalogue
+from gyrorig_solver.discover.testable_terms import form_of, select_testable
 from gyrorig_solver.estimate import ConvergedFit, NuisanceProjector, nominal_levels
 from gyrorig_solver.model import (
     DEG,
@@ -129,6 +129,19 @@ def assemble_findings(
     causes.sort(key=lambda cause: (-cause.parameter_bias_sigma, cause.p_value))
     limits, untestable = find_detection_limits(space, result.projector, result.scores, calibration)
     covered = frozenset[str]().union(*(verdict.covered_causes for verdict in verdicts))
+    limits = (
+        *(limit for limit in limits if limit.cause not in covered),
+        *(limit for verdict in verdicts for limit in verdict.detection_limits),
+    )
+    untestable += tuple(cause for verdict in verdicts for cause in verdict.untestable)
+    stated = covered | {cause.cause for cause in causes} | {limit.cause for limit in limits}
+    stated |= {entry.cause for entry in untestable}
+    stated |= {fitted_term.term.cause for fitted_term in space.fitted_terms}
+    others = [
+        term
+        for term in space.terms.values()
+        if term.cause not in stated and not term.nameless_description
+    ]
     unexplained = model.unexplained
     verdict: Verdict = "explained" if causes else "adequate"
     return CauseFindings(
@@ -136,11 +149,8 @@ def assemble_findings(
         causes=tuple(causes),
         unexplained=unexplained,
         dependence_tests=tuple(base_tests),
-        detection_limits=(
-            *(limit for limit in limits if limit.cause not in covered),
-            *(limit for verdict in verdicts for limit in verdict.detection_limits),
-        ),
-        untestable=untestable,
+        detection_limits=limits,
+        untestable=(*untestable, *_absorbed_causes(others, result.projector)),
         base_terms=base.base_terms,
         base_reduced_chi2=base.reduced_chi2(),
         base_whiteness_p=base_tests[0].p_value,
@@ -233,6 +243,21 @@ def _untestable_causes(
                     and any(p is not None for c, p in scored if c == cause)
                 ]
     return untestable
+
+
+def _absorbed_causes(terms: Iterable[Term], projection: NuisanceProjector) -> list[UntestableCause]:
+    """Return the causes of which the fit absorbs the whole effect, with the motion that they need.
+
+    For example, a rest does not distinguish a non-linear scale from the bias.
+    """
+    testable = {term.cause: term for term in select_testable(terms, projection)}
+    scores = scan_catalogue(projection, testable.values(), 1)
+    scored = {score.term.cause for score in scores}
+    return [
+        UntestableCause(cause, None, term.excitation)
+        for cause, term in testable.items()
+        if cause not in scored
+    ]
 
 
 def _describe_random_walk(projection: NuisanceProjector) -> str:

@@ -15,6 +15,7 @@ from tests.support.quick_cases import quick_cases
 from gyrorig_solver.discover import FitExplanation, cause_search
 from gyrorig_solver.estimate import NuisanceProjector, ScoreStatistics, WhitenedSignals
 from gyrorig_solver.estimate.uncertainty_widening import reduced_chi2
+from gyrorig_solver.model.catalogue import catalogue
 
 FAR = 4.0  # standard deviations: one in 16 000
 
@@ -87,6 +88,22 @@ def test_a_hidden_cause_is_named(
     assert findings.gain.log_likelihood.value > 20.0
     assert findings.gain.rms_after < findings.gain.rms_before
     assert reduced_chi2(explanation.solution_extended) == pytest.approx(1.0, abs=0.05)
+
+
+def test_a_rest_states_which_causes_it_cannot_show(hidden: Callable[..., Any]) -> None:
+    """Before, causes of which the bias absorbs the whole effect were not mentioned at all."""
+    session = hidden(program="static", seed=22)
+    findings = explain_recordings([session.recording], session.board).findings
+    untestable = {entry.cause for entry in findings.untestable}
+    stated = untestable | {limit.cause for limit in findings.detection_limits}
+    stated |= {named.cause for named in findings.causes}
+    searched = {
+        term.cause
+        for term in catalogue().values()
+        if term.kind in ("effect", "stochastic") and not term.first_order_equivalent
+    }
+    assert searched - stated == set()
+    assert {"scale_cubic", "low_pass_lag", "backlash", "sample_jitter"} <= untestable
 
 
 def test_the_size_is_the_truth_within_its_uncertainty(

@@ -12,7 +12,11 @@ from functools import partial
 
 import numpy as np
 
-from gyrorig_solver.discover.cause_findings import DependenceTest, DetectionLimit
+from gyrorig_solver.discover.cause_findings import (
+    DependenceTest,
+    DetectionLimit,
+    UntestableCause,
+)
 from gyrorig_solver.discover.checks.jitter_estimate import JitterEstimate, estimate_jitter
 from gyrorig_solver.discover.checks.model_check import JudgedModel, Verdict
 from gyrorig_solver.discover.checks.residual_dependence import most_significant
@@ -49,9 +53,9 @@ class JitterCheck:
 
 def _detect_jitter(projection: NuisanceProjector, tests: int, with_motion_noise: bool) -> Verdict:
     estimate = estimate_jitter(projection, tests, with_motion_noise)
-    if estimate is None:
-        return Verdict()
     term = SampleJitter()
+    if estimate is None:
+        return Verdict(untestable=(UntestableCause(term.cause, None, term.excitation),))
     p_value = min(1.0, estimate.p_value * tests)
     if p_value >= FALSE_ALARM_RATE:
         parameter = term.parameters[0]

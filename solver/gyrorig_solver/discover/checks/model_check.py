@@ -18,6 +18,7 @@ from gyrorig_solver.discover.cause_findings import (
     DetectionLimit,
     NamedCause,
     UnexplainedResidual,
+    UntestableCause,
 )
 from gyrorig_solver.discover.cause_ranking import RankedCause
 from gyrorig_solver.discover.cause_search import SearchResult
@@ -43,6 +44,7 @@ class Verdict:
     unexplained: UnexplainedResidual | None = None  # reported if the refit shows nothing else
     named: tuple[NamedCause, ...] = ()  # causes that the fit does not contain
     detection_limits: tuple[DetectionLimit, ...] = ()
+    untestable: tuple[UntestableCause, ...] = ()
     covered_causes: frozenset[str] = frozenset()  # causes without other limits than those above
     dependence_tests: tuple[DependenceTest, ...] | None = None  # in place of those of the model
     # Returns the tests that the named causes do not explain.
