@@ -168,11 +168,17 @@ class DependenceTest:
     p_value: float  # with all tests counted
     axis: str | None = None  # sensor axis that shows it most; None: no such axis
     log_evidence: float = 0.0  # nats, smooth function against none; 0 for a test of the variance
+    recording_index: int | None = None  # the recording that was tested; None: all of them
 
     @property
     def excess(self) -> float:
         """The statistic minus its mean in noise."""
         return self.statistic - self.degrees_of_freedom
+
+    @property
+    def key(self) -> tuple[str, int | None]:
+        """The covariate and the recording; several tests can have the same."""
+        return self.covariate, self.recording_index
 
 
 @dataclass(frozen=True, slots=True, eq=False)

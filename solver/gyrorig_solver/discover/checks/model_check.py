@@ -96,9 +96,9 @@ class JudgedModel(Generic[Space]):
         for verdict in self.verdicts.values():
             remaining = verdict.explain_tests(remaining)
         rejecting = [test for verdict in self.verdicts.values() for test in verdict.rejecting_tests]
-        significant = {test.covariate: test for test in rejecting}
+        significant = {test.key: test for test in rejecting}
         significant |= {
-            test.covariate: test for test in remaining if test.p_value < DEPENDENCE_FALSE_ALARM_RATE
+            test.key: test for test in remaining if test.p_value < DEPENDENCE_FALSE_ALARM_RATE
         }
         if not significant:
             earlier = [v.unexplained for v in self.verdicts.values() if v.unexplained is not None]

@@ -23,6 +23,7 @@ from gyrorig_solver.discover.checks.specification_tests import is_better_than_fu
 from gyrorig_solver.discover.fit_space import Space
 from gyrorig_solver.discover.score_tests import FALSE_ALARM_RATE, ScoreTest
 from gyrorig_solver.estimate import FittedTerm, NuisanceProjector, WhitenedSignals, join_signals
+from gyrorig_solver.model import recording_index_of
 from gyrorig_solver.numerics import chi2_upper_tail
 
 MIN_EXPLAINED_SHARE = 0.8  # minimum share of the dependences that the names must explain
@@ -55,17 +56,21 @@ def find_partial_explanations(
 ) -> list[bool]:
     """Return which causes explain only a part of a larger effect of the same covariate.
 
+    An effect in another recording is not a part of the effect of a cause of one recording.
+
     Args:
         model: the model at the end of the search.
         dependences: significant residual dependences of its fit.
     """
     partial = []
     for ranked in model.result.ranked_causes:
-        covariates = ranked.candidate.extension.term.covariates
+        term = ranked.candidate.extension.term
+        recording = recording_index_of(term)
         excesses = [
             test.excess
             for test in dependences
-            if covariates is None or test.covariate in covariates
+            if term.covariates is None or test.covariate in term.covariates
+            if recording is None or test.recording_index in (None, recording)
         ]
         both = ranked.statistic + max(excesses, default=0.0)
         partial.append(ranked.statistic < MIN_EXPLAINED_SHARE * both)

@@ -98,13 +98,16 @@ def dependences_on(
 
 
 def most_significant(tests: Iterable[DependenceTest]) -> list[DependenceTest]:
-    """Return the most significant test of each covariate, the smallest p-value first."""
-    by_covariate: dict[str, DependenceTest] = {}
+    """Return the most significant test of each covariate, the smallest p-value first.
+
+    A covariate of single recordings, such as the time, has one test for each recording.
+    """
+    best: dict[tuple[str, int | None], DependenceTest] = {}
     for test in tests:
-        previous = by_covariate.get(test.covariate)
+        previous = best.get(test.key)
         if previous is None or test.p_value < previous.p_value:
-            by_covariate[test.covariate] = test
-    return sorted(by_covariate.values(), key=lambda test: (test.p_value, -test.statistic))
+            best[test.key] = test
+    return sorted(best.values(), key=lambda test: (test.p_value, -test.statistic))
 
 
 def _family_tests(
@@ -133,6 +136,7 @@ def _dependence_test(
         score_test.degrees_of_freedom,
         min(1.0, detail_test.p_value * tests),
         log_evidence=smooth_function_evidence(statistics, family.detail),
+        recording_index=family.recording_index,
     )
 
 
