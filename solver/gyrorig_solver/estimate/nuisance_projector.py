@@ -12,7 +12,7 @@ Source: score (Lagrange multiplier) test with nuisances eliminated; Rao, Linear 
 Inference, 6e.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Self
 
@@ -30,6 +30,7 @@ from gyrorig_solver.estimate.executed_motion import law_columns
 from gyrorig_solver.estimate.fit_segments import build_segments, remaining_terms
 from gyrorig_solver.estimate.fitted_term import FittedTerm
 from gyrorig_solver.estimate.law_effects import LawEffects, LawScale, unit_references
+from gyrorig_solver.estimate.linear.whitening import PartModel
 from gyrorig_solver.estimate.noise.noise_model import NoiseModel
 from gyrorig_solver.estimate.nuisance_basis import NuisancePrior, nuisance_basis
 from gyrorig_solver.estimate.nuisance_space import (
@@ -169,9 +170,7 @@ class NuisanceProjector(NuisanceSpace):
             first += fitted_term.free_indices.size
         if not removed:
             return ReducedModel(np.flatnonzero(rows), self.residual)
-        removed_terms = [
-            fitted_term for k, fitted_term in enumerate(self.fitted_terms) if k in removed
-        ]
+        removed_terms = [term for k, term in enumerate(self.fitted_terms) if k in removed]
         direct_terms = [term for term in removed_terms if term.term.law_quantity is None]
 
         def restored_effect(state: SignalState) -> FloatArray:
@@ -254,20 +253,26 @@ class NuisanceProjector(NuisanceSpace):
 
         `as_if_at_rest`: scale noise in motion down to that at rest.
         """
-        rates, start = [], 0
-        for segment in self.segments:
-            for used, model in zip(segment.used, segment.models, strict=True):
-                n = used.size
-                std = np.sqrt(segment.noise.dct_variance(n)).T
-                spectrum = dct(
-                    white_signal[start : start + 3 * n].reshape(3, n), axis=-1, norm="ortho"
-                )
-                if model.relative_std is not None and not as_if_at_rest:
-                    spectrum = model.relative_std.multiply_spectra(spectrum)
-                rate = idct(spectrum * std, axis=-1, norm="ortho").T
-                rates.append(np.where(used[:, None], rate, 0.0))
-                start += 3 * n
+        rates = []
+        for segment, model, white in self.split_parts(white_signal):
+            std = np.sqrt(segment.noise.dct_variance(model.used.size)).T
+            spectrum = dct(white, axis=-1, norm="ortho")
+            if model.relative_std is not None and not as_if_at_rest:
+                spectrum = model.relative_std.multiply_spectra(spectrum)
+            rate = idct(spectrum * std, axis=-1, norm="ortho").T
+            rates.append(np.where(model.used[:, None], rate, 0.0))
         return rates
+
+    def split_parts(
+        self, signal: FloatArray
+    ) -> Iterator[tuple[SeriesSegment, PartModel, FloatArray]]:
+        """Yield the segment and model of each part, with its piece (3, n) of a signal (all,)."""
+        start = 0
+        for segment in self.segments:
+            for model in segment.models:
+                stop = start + 3 * model.used.size
+                yield segment, model, signal[start:stop].reshape(3, -1)
+                start = stop
 
     @property
     def states(self) -> list[SignalState]:
@@ -284,19 +289,14 @@ class NuisanceProjector(NuisanceSpace):
 
         Its product with an unwhitened signal is the signal's score.
         """
-        signals, start = [], 0
-        for segment in self.segments:
-            for used, model in zip(segment.used, segment.models, strict=True):
-                n = used.size
-                white = self.residual[start : start + 3 * n].reshape(3, n)
-                std = np.sqrt(segment.noise.dct_variance(n)).T
-                spectrum = dct(white, axis=-1, norm="ortho")
-                if model.relative_std is not None:
-                    spectrum = model.relative_std.divide_spectra(spectrum)
-                spectrum = spectrum / std
-                signal = idct(spectrum, axis=-1, norm="ortho").T
-                signals.append(np.where(used[:, None], signal, 0.0))
-                start += 3 * n
+        signals = []
+        for segment, model, white in self.split_parts(self.residual):
+            std = np.sqrt(segment.noise.dct_variance(model.used.size)).T
+            spectrum = dct(white, axis=-1, norm="ortho")
+            if model.relative_std is not None:
+                spectrum = model.relative_std.divide_spectra(spectrum)
+            signal = idct(spectrum / std, axis=-1, norm="ortho").T
+            signals.append(np.where(model.used[:, None], signal, 0.0))
         return signals
 
     def whiten(self, signals: Sequence[Sequence[Signals]]) -> WhitenedSignals:

@@ -219,33 +219,30 @@ def _block_coefficients(
     """
     left = projection.orthogonal_component(projection.residual)
     values, slopes, moving, weights, recordings, places = [], [], [], [], [], []
-    start = 0
-    rates = [model.rate for s in projection.segments for model in s.models]
+    rates = [model.rate for segment in projection.segments for model in segment.models]
     fastest = max(float(np.linalg.norm(rate, axis=1).max(initial=0.0)) for rate in rates)
-    for s in projection.segments:
-        weight = _noise_weights(s.noise)
-        for scene, model in zip(s.states, s.models, strict=True):
-            n = model.used.size
-            white = left[start : start + 3 * n].reshape(3, n)
-            unit_effect = SampleJitter().unit_effect(scene)
-            if model.relative_std is not None and with_motion_noise:
-                unit_effect = unit_effect / model.relative_std.values.T
-            elif model.relative_std is not None:
-                white = white * model.relative_std.values
-            start += 3 * n
-            whole = n // BLOCK_LENGTH
-            inside = slice(0, whole * BLOCK_LENGTH)
-            used: BoolArray = np.all(model.used[inside].reshape(whole, BLOCK_LENGTH), axis=1)
-            cut = white[:, inside].reshape(3, whole, BLOCK_LENGTH).transpose(1, 0, 2)[used]
-            shape = unit_effect[inside].reshape(whole, BLOCK_LENGTH, 3)[used]
-            values.append(dct(cut, axis=-1, norm="ortho"))
-            slopes.append(np.einsum("bti,btk->bik", shape, shape) / BLOCK_LENGTH)
-            rate = np.linalg.norm(model.rate, axis=1)
-            weights.append(np.broadcast_to(weight, (len(cut), *weight.shape)))
-            recordings.append(np.full(len(cut), scene.context.recording_index))
-            places.append(BlockMotion.of(scene, rate, BLOCK_LENGTH, used))
-            speed = speed_shapes(rate[inside], fastest)
-            moving.append(speed.reshape(-1, whole, BLOCK_LENGTH).mean(axis=2)[:, used])
+    for scene, (segment, model, white) in zip(
+        projection.states, projection.split_parts(left), strict=True
+    ):
+        unit_effect, values_at_rest = SampleJitter().unit_effect(scene), white
+        if model.relative_std is not None and with_motion_noise:
+            unit_effect = unit_effect / model.relative_std.values.T
+        elif model.relative_std is not None:
+            values_at_rest = white * model.relative_std.values
+        whole = white.shape[1] // BLOCK_LENGTH
+        inside = slice(0, whole * BLOCK_LENGTH)
+        used: BoolArray = np.all(model.used[inside].reshape(whole, BLOCK_LENGTH), axis=1)
+        cut = values_at_rest[:, inside].reshape(3, whole, BLOCK_LENGTH).transpose(1, 0, 2)[used]
+        shape = unit_effect[inside].reshape(whole, BLOCK_LENGTH, 3)[used]
+        values.append(dct(cut, axis=-1, norm="ortho"))
+        slopes.append(np.einsum("bti,btk->bik", shape, shape) / BLOCK_LENGTH)
+        rate = np.linalg.norm(model.rate, axis=1)
+        weight = _noise_weights(segment.noise)
+        weights.append(np.broadcast_to(weight, (len(cut), *weight.shape)))
+        recordings.append(np.full(len(cut), scene.context.recording_index))
+        places.append(BlockMotion.of(scene, rate, BLOCK_LENGTH, used))
+        speed = speed_shapes(rate[inside], fastest)
+        moving.append(speed.reshape(-1, whole, BLOCK_LENGTH).mean(axis=2)[:, used])
     value, slope = np.concatenate(values), np.concatenate(slopes)
     strength = np.einsum("bii->b", slope)
     if not strength.size or strength.max() <= 0.0:

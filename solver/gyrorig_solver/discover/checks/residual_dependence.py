@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gyrorig_solver.data import FloatArray
+from gyrorig_solver.data import BoolArray, FloatArray
 from gyrorig_solver.discover.cause_findings import DependenceTest
 from gyrorig_solver.discover.checks.basis_family import BasisFamily
 from gyrorig_solver.discover.checks.smooth_alternatives import smooth_families
@@ -265,8 +265,7 @@ def variance_tests(projection: NuisanceProjector, tests: int) -> list[Dependence
     """
     residual = projection.orthogonal_component(projection.residual)
     results: list[DependenceTest] = []
-    moving, jitter, power = _variance_shapes(projection)
-    used = power > 0.0
+    moving, jitter, used = _variance_shapes(projection)
     excess = residual**2 - 1.0
     for name, words, shapes in (
         ("moving", "on whether and how fast the stage moves (the scatter changes)", moving),
@@ -282,45 +281,41 @@ def variance_tests(projection: NuisanceProjector, tests: int) -> list[Dependence
     return results
 
 
-def _variance_shapes(projection: NuisanceProjector) -> tuple[FloatArray, FloatArray, FloatArray]:
+def _variance_shapes(projection: NuisanceProjector) -> tuple[FloatArray, FloatArray, BoolArray]:
     """Return motion shapes, variance by jitter and use, each for all values of the residual."""
-    moving, jitter, use = [], [], []
+    moving, jitter = [], []
     fastest = max(
         (float(np.linalg.norm(model.rate, axis=1).max()) for segment in projection.segments
          for model in segment.models if len(model.rate)), default=0.0
     )  # fmt: skip
-    for segment in projection.segments:
-        for scene, model in zip(segment.states, segment.models, strict=True):
-            n = model.used.size
-            speed = np.linalg.norm(model.rate, axis=1)
-            jitter_shape = (
-                SampleJitter().added_variance(scene, np.ones(1)).T
-                / np.mean(segment.noise.dct_variance(n), axis=0)[:, None]
-            )
-            if model.relative_std is not None:
-                jitter_shape = jitter_shape / model.relative_std.values**2
-            moving.append(np.tile(speed_shapes(speed, fastest), (1, 3)))
-            jitter.append(jitter_shape.reshape(1, -1))
-            use.append(np.tile(model.used.astype(np.float64), (3, 1)).ravel())
-    used = np.concatenate(use)
-    return np.concatenate(moving, axis=1) * (used > 0.0), np.concatenate(jitter, axis=1), used
+    used = np.concatenate(
+        [np.tile(model.used, 3) for segment in projection.segments for model in segment.models]
+    )
+    for scene, (segment, model, _) in zip(
+        projection.states, projection.split_parts(projection.residual), strict=True
+    ):
+        speed = np.linalg.norm(model.rate, axis=1)
+        noise_variance = np.mean(segment.noise.dct_variance(model.used.size), axis=0)
+        jitter_shape = SampleJitter().added_variance(scene, np.ones(1)).T / noise_variance[:, None]
+        if model.relative_std is not None:
+            jitter_shape = jitter_shape / model.relative_std.values**2
+        moving.append(np.tile(speed_shapes(speed, fastest), (1, 3)))
+        jitter.append(jitter_shape.reshape(1, -1))
+    return np.concatenate(moving, axis=1) * used, np.concatenate(jitter, axis=1), used
 
 
 def _spectral_line_test(
     projection: NuisanceProjector, residual: FloatArray, tests: int
 ) -> DependenceTest:
     """Return the test for a single spectral line on any axis."""
-    best, bin_count, start = (0.0, 0.0), 0, 0
-    for segment in projection.segments:
-        for used in segment.used:
-            n = used.size
-            whitened = residual[start : start + 3 * n].reshape(3, n)
-            start += 3 * n
-            power = np.abs(np.fft.rfft(whitened, axis=1)[:, 1:-1]) ** 2 / n
-            bin_count += power.size
-            peak = np.unravel_index(int(np.argmax(power)), power.shape)
-            hertz = float(peak[1] + 1) / n * segment.noise.sampling.rate_hz
-            best = max(best, (float(power[peak]), hertz))
+    best, bin_count = (0.0, 0.0), 0
+    for segment, _, white in projection.split_parts(residual):
+        n = white.shape[1]
+        power = np.abs(np.fft.rfft(white, axis=1)[:, 1:-1]) ** 2 / n
+        bin_count += power.size
+        peak = np.unravel_index(int(np.argmax(power)), power.shape)
+        hertz = float(peak[1] + 1) / n * segment.noise.sampling.rate_hz
+        best = max(best, (float(power[peak]), hertz))
     p_value = -np.expm1(bin_count * np.log1p(-np.exp(-best[0]))) if bin_count else 1.0
     words = f"on the time: it has a spectral line at {best[1]:.2f} Hz"
     return DependenceTest("line", words, 2.0 * best[0], 2, min(1.0, float(p_value) * tests))
