@@ -268,7 +268,11 @@ class _Search(Generic[Space]):
         if not extended.convergence.converged:
             self._memory.leave_out(name, extended)
             return
-        alternative = self._noise_alternative(selection, extended)
+        alternative = None
+        if self._typical:
+            alternative = self._space.noise_alternative(
+                selection.candidate, selection.effective_trials, extended, self._tests
+            )
         if alternative is not None:
             self._doubted.add(name)
             self._noise_alternatives.append(alternative)
@@ -282,13 +286,6 @@ class _Search(Generic[Space]):
             self._excluded.add(name)  # it was removed at once: do not try it again
         self._memory.visit(extended)
         self._continue_with(extended)
-
-    def _noise_alternative(self, selection: _Selection, extended: Space) -> NoiseAlternative | None:
-        if not self._typical:
-            return None
-        return self._space.noise_alternative(
-            selection.candidate, selection.effective_trials, extended, self._tests
-        )
 
     def _drop_insignificant(self, space: Space) -> Space:
         """Remove the causes that are not significant in addition to the others.

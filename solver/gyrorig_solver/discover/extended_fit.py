@@ -118,7 +118,10 @@ def refit_events(space: Space) -> Space:
         if refitted is not None and not refitted.infeasible and _has_moved(extension, refitted):
             causes[k] = replace(extension, values=refitted.extension.values)
             changed = True
-    return _refit_if_converged(space, causes) if changed else space
+    if not changed:
+        return space
+    extended = space.refit(causes)
+    return extended if extended.convergence.converged else space
 
 
 def _has_moved(extension: FittedTerm, refitted: FittedCandidate) -> bool:
@@ -134,12 +137,6 @@ def _has_moved(extension: FittedTerm, refitted: FittedCandidate) -> bool:
     event_moved = shift[is_event] > MIN_EVENT_SHIFT_SIGMA * (refitted.event_std or 0.0)
     shape_moved = shift[is_held & ~is_event] > 0.0
     return bool(event_moved.any() or shape_moved.any())
-
-
-def _refit_if_converged(space: Space, causes: Sequence[FittedTerm]) -> Space:
-    """Return a refit if it converged, otherwise the previous fit."""
-    refitted = space.refit(causes)
-    return refitted if refitted.convergence.converged else space
 
 
 class GainChange(LinearTerm):
@@ -180,16 +177,10 @@ class GainChange(LinearTerm):
         return f"the gain is off by up to {np.abs(values).max():.2g}"
 
 
-def has_clipping_cause(extensions: tuple[FittedTerm, ...]) -> bool:
-    """Return whether the fit includes a cause that clips rates (threshold or saturation)."""
-    return any(
-        extension.is_active and extension.term.stage in CLIPPING_STAGES for extension in extensions
-    )
-
-
 def refit_gain_exactly(solution: ConvergedFit) -> ConvergedFit:
     """Refit the gain by its exact effect; without clipping causes, return the fit unchanged."""
-    if not has_clipping_cause(solution.fitted_terms):
+    clipping = (cause for cause in solution.fitted_terms if cause.term.stage in CLIPPING_STAGES)
+    if not any(cause.is_active for cause in clipping):
         return solution
     for _ in range(MAX_RESTARTS):
         projector = NuisanceProjector.at_fit(solution)

@@ -10,9 +10,8 @@ reference attitudes.
 
 import weakref
 from abc import ABC, abstractmethod
-from collections import deque
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Self, TypeVar
 
 from gyrorig_solver.data import FloatArray
@@ -27,9 +26,6 @@ from gyrorig_solver.estimate import (
     ObservabilityAnalysis,
 )
 from gyrorig_solver.model import Term, term_label
-
-# The caches of one fit take about 3 kB per sample.
-MAX_SPACES_WITH_CACHES = 1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -47,19 +43,19 @@ class SearchEffort:
     """The effort of the refits of a search; common to all fits that start from one fit."""
 
     evaluations: int = 0  # of the likelihood
-    _latest: deque["weakref.ref[FitSpace]"] = field(default_factory=deque)  # fits with caches
+    _latest: "weakref.ref[FitSpace] | None" = None
 
     def add(self, space: "FitSpace") -> None:
-        """Count a refit as at least one evaluation, and free the caches of an older fit.
+        """Count a refit as at least one evaluation, and free the caches of the previous one.
 
-        A search keeps many fits, and the next projector is usually that of the latest fit.
+        A search keeps many fits, and the caches of a fit take about 3 kB per sample. The next
+        projector is usually that of the latest fit.
         """
         self.evaluations += max(1, space.convergence.evaluations)
-        self._latest.append(weakref.ref(space))
-        if len(self._latest) > MAX_SPACES_WITH_CACHES:
-            oldest = self._latest.popleft()()
-            if oldest is not None:
-                oldest.release_caches()
+        previous = None if self._latest is None else self._latest()
+        if previous is not None:
+            previous.release_caches()
+        self._latest = weakref.ref(space)
 
 
 class FitSpace(ABC):

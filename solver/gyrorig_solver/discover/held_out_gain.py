@@ -9,15 +9,15 @@ What to use when: `cross_validate_causes` for the causes of a fit, all together 
 `gain_on_recording` for a second recording.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from gyrorig_solver.data import FloatArray, IntArray
 from gyrorig_solver.discover.cause_findings import ConfidenceInterval, HeldOutGain
-from gyrorig_solver.discover.held_out_recording import HeldOutFit, HeldOutRecording
-from gyrorig_solver.estimate import ConvergedFit, NuisanceProjector, Series
+from gyrorig_solver.discover.held_out_recording import HeldOutRecording
+from gyrorig_solver.estimate import ConvergedFit, NuisanceProjector
 from gyrorig_solver.numerics import normal_quantile
 
 WINDOW_S = 10.0
@@ -82,12 +82,11 @@ def gain_on_recording(
             noises=(extended_fit.noise,),
         )
     )
-    whitened = [
-        projector.whiten(
-            [[r[p][None] for p in series.part_slices()] for series, r in _series_residuals(fit)]
-        ).dense()[0]
-        for fit in (base_fit, extended_fit)
-    ]
+    whitened = []
+    for fit in (base_fit, extended_fit):
+        pairs = zip(fit.session.series, fit.session.residuals(fit.gain), strict=True)
+        parts = [[rates[p][None] for p in series.part_slices()] for series, rates in pairs]
+        whitened.append(projector.whiten(parts).dense()[0])
     how = f"the recording {held_out.name}, in which only bias and time offset were fitted"
     left_out = ", ".join(fit.term.cause for fit in extended_fit.left_out)
     if left_out:
@@ -105,11 +104,6 @@ def gain_on_recording(
     )
 
 
-def _series_residuals(fit: HeldOutFit) -> Iterator[tuple[Series, FloatArray]]:
-    """Yield each series with its residual, (n, 3)."""
-    return zip(fit.session.series, fit.session.residuals(fit.gain), strict=True)
-
-
 def compare_residuals(
     projection: NuisanceProjector, how: str, before: FloatArray, after: FloatArray
 ) -> HeldOutGain:
@@ -123,16 +117,12 @@ def compare_residuals(
     """
     windows = _window_numbers(projection, projection.channel_lengths[::3])
     count = int(windows.max()) + 1
-    residuals = (before, after)
-    costs = [
-        np.asarray(np.bincount(windows, residual**2, count), np.float64) for residual in residuals
-    ]
-    nats: FloatArray = 0.5 * (costs[0] - costs[1])
-    rates = [projection.unwhiten(residual) for residual in residuals]
+    costs = [np.bincount(windows, residual**2, count) for residual in (before, after)]
+    nats = np.asarray(0.5 * (costs[0] - costs[1]), dtype=np.float64)
+    rates = [projection.unwhiten(residual) for residual in (before, after)]
     squares = [_window_mean_squares(projection, rate) for rate in rates]
     used = sum(int(u.sum()) for s in projection.segments for u in s.used)
     rms = [float(np.sqrt(sum(np.sum(r**2) for r in rate) / (3 * used))) for rate in rates]
-    change = [float(s) for s in squares[1] - squares[0]]
     turns = [_turn_error_squares(projection, rate) for rate in rates]
     errors = [float(np.sqrt(np.mean(t))) if t.size else float("nan") for t in turns]
     return HeldOutGain(
@@ -142,7 +132,9 @@ def compare_residuals(
         rms_after=rms[1],
         turn_error_before_rad=errors[0],
         turn_error_after_rad=errors[1],
-        rms_change=_confidence_interval(np.array(change), rms[1] - rms[0], 1.0 / (rms[0] + rms[1])),
+        rms_change=_confidence_interval(
+            squares[1] - squares[0], rms[1] - rms[0], 1.0 / (rms[0] + rms[1])
+        ),
         turn_change=_rms_change(turns, errors),
     )
 

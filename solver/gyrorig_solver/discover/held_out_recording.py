@@ -109,7 +109,7 @@ def _fit_nuisances(session: SessionFit, gain: FloatArray, noise: NoiseModel | No
     prior = np.array([PRIOR_STD["bias"]] * 3 + [PRIOR_STD["time_offset"]]) ** -2.0
     own_noise = noise is None
     session.update_prediction(gain, detect_outliers=own_noise, new_derivatives=True)
-    levels = noise or _fit_noise(session, gain, None)
+    levels = noise or fit_session_noise(session, gain, session.sampling, None).noise
     for _ in range(MAX_ITERATIONS):
         marginal = marginalise(session.normal_equations(gain, levels), session.reference)
         information = marginal.information[free, free] + np.diag(prior)
@@ -126,12 +126,7 @@ def _fit_nuisances(session: SessionFit, gain: FloatArray, noise: NoiseModel | No
             new_derivatives=size > DERIVATIVE_REFRESH_SIGMA,
         )
         if own_noise:
-            levels = _fit_noise(session, gain, levels)
+            levels = fit_session_noise(session, gain, session.sampling, levels.levels).noise
         if size < CONVERGED_SIGMA:
             break
     return levels
-
-
-def _fit_noise(session: SessionFit, gain: FloatArray, before: NoiseModel | None) -> NoiseModel:
-    levels = None if before is None else before.levels
-    return fit_session_noise(session, gain, session.sampling, levels).noise

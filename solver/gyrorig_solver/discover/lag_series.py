@@ -21,7 +21,7 @@ from gyrorig_solver.data import FloatArray
 from gyrorig_solver.discover.checks.basis_family import BasisFamily
 from gyrorig_solver.estimate import NuisanceProjector, ScoreStatistics
 from gyrorig_solver.model import SignalState, Term, zero_signals
-from gyrorig_solver.numerics import chi2_upper_tail
+from gyrorig_solver.numerics import chi2_upper_tail, score_statistic
 
 WINDOW_S = 2.0
 MAX_WINDOWS = 60
@@ -49,11 +49,11 @@ class LagSeries:
     @property
     def p_value(self) -> float:
         """The p-value of the test that the lag does not change."""
-        values, vectors = np.linalg.eigh(self.statistics.information)
-        keep = values > NEGLIGIBLE_INFORMATION * max(float(self.statistics.energy.max()), 1e-300)
-        score = vectors[:, keep].T @ self.statistics.score
-        statistic = float(np.sum(score**2 / values[keep]))
-        return chi2_upper_tail(statistic, int(keep.sum())) if keep.any() else 1.0
+        largest = max(float(self.statistics.energy.max()), 1e-300)
+        statistic, degrees = score_statistic(
+            self.statistics.information, self.statistics.score, NEGLIGIBLE_INFORMATION, largest
+        )
+        return chi2_upper_tail(statistic, degrees) if degrees else 1.0
 
     def score_shapes(self, shapes_s: FloatArray) -> FloatArray:
         """Return the score statistic (b,) of each shape; `shapes_s`: lags by window, (b, m)."""

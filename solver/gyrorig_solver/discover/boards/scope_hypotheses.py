@@ -43,11 +43,6 @@ class ScopeHypothesis:
         """The cause's label, with its recording if it is limited to one."""
         return term_label(self.term)
 
-    @property
-    def owner(self) -> Literal["unit", "board"]:
-        """The owner: the unit if the size is common, otherwise each board."""
-        return "board" if self.common is None else "unit"
-
 
 def possible_owner(term: Term) -> Owner:
     """Return whether a cause can belong to the unit, to a board, or to either.

@@ -56,7 +56,7 @@ class JitterEstimate:
     """The maximum-likelihood estimate of sample-time jitter."""
 
     deviation_s: float
-    std_s: float
+    std_s: float  # inf for a deviation of zero
     statistic: float  # twice the log-likelihood that the model loses without jitter
     p_value: float  # of a single test
     rival_nats: tuple[float, ...]  # gain of other shapes of the variance, relative to jitter
@@ -144,7 +144,7 @@ def estimate_jitter(
     needed = normal_quantile(FALSE_ALARM_RATE / tests) + normal_quantile(1.0 - DETECTION_POWER)
     return JitterEstimate(
         deviation_s=float(np.sqrt(size)),
-        std_s=_root_std(size, jitter.information(size)),
+        std_s=0.5 / float(np.sqrt(size * jitter.information(size))) if size > 0.0 else np.inf,
         statistic=2.0 * max(gain_nats, 0.0),
         p_value=0.5 * chi2_upper_tail(2.0 * max(gain_nats, 0.0), 1.0),
         rival_nats=tuple(rival_nats),
@@ -158,11 +158,6 @@ def estimate_jitter(
             motion,
         ),
     )
-
-
-def _root_std(size: float, information: float) -> float:
-    """Return the standard uncertainty of the square root of a size; inf for a size of zero."""
-    return float(0.5 / np.sqrt(size * information)) if size > 0.0 else float("inf")
 
 
 def _remaining_trend(
