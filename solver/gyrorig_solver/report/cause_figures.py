@@ -9,12 +9,13 @@ from collections.abc import Sequence
 import numpy as np
 
 from gyrorig_solver.data import FloatArray
-from gyrorig_solver.model import BinnedDependence
+from gyrorig_solver.model import XYZ, BinnedDependence
 from gyrorig_solver.model.catalogue import catalogue
 from gyrorig_solver.report.binned_dependence import (
     DEPENDENCE_OF_SIGNATURE,
     MIN_BLOCKS_PER_BIN,
     QUANTITY_UNITS,
+    Bins,
     covariate_label,
     regress_in_bins,
 )
@@ -49,6 +50,17 @@ def cause_figure(series: ReportSeries, cause: str, key: str, components: Sequenc
     model = regress_in_bins(series, effect, dependence, axis, motor_axis)
     if data.centre.size < 3:
         return _figure_without_dependence(series, effect, key, axis)
+    return _draw_two_models(
+        data,
+        model,
+        axis,
+        covariate_label(dependence.covariate, motor_axis),
+        f"residual {XYZ[axis]}, {QUANTITY_UNITS[dependence.quantity]}",
+    )
+
+
+def _draw_two_models(data: Bins, model: Bins, axis: int, xlabel: str, ylabel: str) -> str:
+    """Draw data with their intervals, and the models without and with a cause."""
     figure, (panel,) = stacked_panels(1, 3.4)
     panel.dots(
         data.centre,
@@ -64,10 +76,7 @@ def cause_figure(series: ReportSeries, cause: str, key: str, components: Sequenc
     panel.plot(
         model.centre, model.value, colour=AXIS_COLOURS[axis], linewidth=1.8, label=WITH_CAUSE
     )
-    panel.name_axes(
-        covariate_label(dependence.covariate, motor_axis),
-        f"residual {'xyz'[axis]}, {QUANTITY_UNITS[dependence.quantity]}",
-    )
+    panel.name_axes(xlabel, ylabel)
     return figure.svg()
 
 
@@ -93,16 +102,13 @@ def residual_by_effect(series: ReportSeries, effect: FloatArray, key: str, axis:
     centre = np.array([predicted[known][rows].mean() for rows in groups])
     value = np.array([residual[known][rows].mean() for rows in groups])
     bar = np.array([1.96 * residual[known][rows].std() / np.sqrt(rows.size) for rows in groups])
-    figure, (panel,) = stacked_panels(1, 3.4)
-    panel.dots(
-        centre, value, bar, colour=INK, bar_colour=BEFORE, linewidth=0.0, markersize=4, label="data"
+    return _draw_two_models(
+        Bins(centre, value, bar),
+        Bins(centre, centre, bar),
+        axis,
+        f"predicted effect {XYZ[axis]}, deg/s",
+        f"residual {XYZ[axis]} without the cause, deg/s",
     )
-    panel.level(0.0, colour=SOFT, linewidth=1.1, linestyle="--", label=WITHOUT_CAUSE)
-    panel.plot(centre, centre, colour=AXIS_COLOURS[axis], linewidth=1.8, label=WITH_CAUSE)
-    panel.name_axes(
-        f"predicted effect {'xyz'[axis]}, deg/s", f"residual {'xyz'[axis]} without the cause, deg/s"
-    )
-    return figure.svg()
 
 
 def close_up_figure(series: ReportSeries, effect: FloatArray, axis: int) -> str:
@@ -133,7 +139,7 @@ def close_up_figure(series: ReportSeries, effect: FloatArray, axis: int) -> str:
             linestyle=style,
             label=words,
         )
-    above.ylabel = f"{'xyz'[axis]}  deg/s"
+    above.ylabel = f"{XYZ[axis]}  deg/s"
     above.has_key = True
     below.plot(
         time_s,
@@ -176,7 +182,7 @@ def unexplained_figure(series: ReportSeries, signature: str, axis: int | None) -
             colour=AXIS_COLOURS[sensor_axis],
             linewidth=1.0,
             markersize=3.5,
-            label="xyz"[sensor_axis],
+            label=XYZ[sensor_axis],
         )
     panel.level(0.0, colour=SOFT, linewidth=0.8)
     panel.name_axes(
@@ -207,7 +213,7 @@ def residual_spectrum(series: ReportSeries) -> str:
                 np.degrees(np.sqrt(density[:, axis])),
                 colour=colour,
                 linewidth=width,
-                label="xyz"[axis] if colour != BEFORE else "base model" * (axis == 0),
+                label=XYZ[axis] if colour != BEFORE else "base model" * (axis == 0),
             )
     finish_spectrum(panel, series.frequency_hz, series.spectrum_model, 0.9)
     return figure.svg()
@@ -216,21 +222,19 @@ def residual_spectrum(series: ReportSeries) -> str:
 def dependence_figures(series: ReportSeries) -> dict[str, str]:
     """Draw the residuals of both models against every covariate, by name."""
     figures = {}
-    for name, dependence, motor_axis in (
-        ("own_rate", BinnedDependence("mean", "own_rate"), 0),
-        ("pan", BinnedDependence("gain", "pan"), 0),
-        ("tilt", BinnedDependence("gain", "tilt", 10), 0),
-        ("time", BinnedDependence("lag", "time", 16), 0),
-        ("temperature", BinnedDependence("mean", "temperature", 12), 0),
+    for name, dependence in (
+        ("own_rate", BinnedDependence("mean", "own_rate")),
+        ("pan", BinnedDependence("gain", "pan")),
+        ("tilt", BinnedDependence("gain", "tilt", 10)),
+        ("time", BinnedDependence("lag", "time", 16)),
+        ("temperature", BinnedDependence("mean", "temperature", 12)),
     ):
         # The axis of most motion, or of the largest residual.
         is_mean = dependence.quantity == "mean"
         rate_rad_s = series.base_residual_rad_s if is_mean else series.base_rad_s
         axis = int(np.argmax(np.nanvar(rate_rad_s, axis=0)))
-        before = regress_in_bins(series, series.base_residual_rad_s, dependence, axis, motor_axis)
-        after = regress_in_bins(
-            series, series.extended_residual_rad_s, dependence, axis, motor_axis
-        )
+        before = regress_in_bins(series, series.base_residual_rad_s, dependence, axis)
+        after = regress_in_bins(series, series.extended_residual_rad_s, dependence, axis)
         if before.centre.size < 3:
             continue
         figure, (panel,) = stacked_panels(1, 2.7)
@@ -249,8 +253,8 @@ def dependence_figures(series: ReportSeries) -> dict[str, str]:
             )
         panel.level(0.0, colour=SOFT, linewidth=0.6)
         panel.name_axes(
-            covariate_label(dependence.covariate, motor_axis),
-            f"residual {'xyz'[axis]}, {QUANTITY_UNITS[dependence.quantity]}",
+            covariate_label(dependence.covariate),
+            f"residual {XYZ[axis]}, {QUANTITY_UNITS[dependence.quantity]}",
         )
         figures[name] = figure.svg()
     return figures

@@ -23,12 +23,14 @@ def data_sheet_range(
     if cause in catalogue():
         limit = catalogue()[cause].data_sheet_limit(parameter, profile)
         return None if limit is None else (-limit, limit)
-    middle, half_width = {
-        "bias": (0.0, profile.zero_rate_limit_dps(full_scale_dps)),  # deg/s
-        "scale": (1.0, profile.scale_tolerance),
-        "nonorthogonality": (0.0, _scaled_or_none(1e3, profile.cross_axis)),  # mrad
-    }.get(name, (0.0, None))
-    return None if half_width is None else (middle - half_width, middle + half_width)
+    middle, half_width, factor = {
+        "bias": (0.0, profile.zero_rate_limit_dps(full_scale_dps), 1.0),  # deg/s
+        "scale": (1.0, profile.scale_tolerance, 1.0),
+        "nonorthogonality": (0.0, profile.cross_axis, 1e3),  # mrad
+    }.get(name, (0.0, None, 1.0))
+    if half_width is None:
+        return None
+    return middle - factor * half_width, middle + factor * half_width
 
 
 def data_sheet_white_noise(profile: SensorProfile | None) -> tuple[str, str]:
@@ -50,7 +52,3 @@ def data_sheet_noise(name: str, profile: SensorProfile | None) -> str:
         coefficient_text = format_short(allan_floor_dps_h / _ALLAN_FLOOR)
         return f"{coefficient_text} (Allan minimum {format_short(allan_floor_dps_h)})"
     return ""
-
-
-def _scaled_or_none(factor: float, value: float | None) -> float | None:
-    return None if value is None else factor * value

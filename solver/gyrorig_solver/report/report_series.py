@@ -88,13 +88,11 @@ def series_of_explanation(explained: FitExplanation) -> ReportSeries:
         segments = _segments(base_session, extended_session, base, extended, causes, begin_s)
         all_segments += segments
         begin_s = float(segments[-1].time_s[-1]) + GAP_BETWEEN_RECORDINGS_S
-    base_periodograms = [session_periodograms(session, base.gain)[0] for session in base.sessions]
-    extended_periodograms = [
-        session_periodograms(session, extended.gain)[0] for session in extended.sessions
-    ]
-    base_spectrum = bin_spectrum([p for periodograms in base_periodograms for p in periodograms])
-    extended_spectrum = bin_spectrum(
-        [p for periodograms in extended_periodograms for p in periodograms]
+    base_spectrum, extended_spectrum = (
+        bin_spectrum(
+            [p for session in fit.sessions for p in session_periodograms(session, fit.gain)[0]]
+        )
+        for fit in (base, extended)
     )
     return ReportSeries(
         time_s=np.concatenate([p.time_s for p in all_segments]),
