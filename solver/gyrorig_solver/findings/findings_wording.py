@@ -10,6 +10,7 @@ from types import MappingProxyType
 from gyrorig_solver.discover.attitude.attitude_terms import ReferenceSmoothing
 from gyrorig_solver.findings.findings_document import (
     CauseEntry,
+    ChangeEntry,
     DetectableEntry,
     FindingsDocument,
     SizeEntry,
@@ -174,14 +175,25 @@ def _amplitude(cause: CauseEntry, place: str) -> SizeEntry | None:
 
 
 def parameter_bias_sigma(document: FindingsDocument, cause: CauseEntry) -> float | None:
-    """Return by how many standard uncertainties ignoring a cause biases the worst parameter.
-
-    For the only cause of a document this is the difference of the two fits, with and without
-    it, as in the table of changes; one of several is taken to first order.
-    """
-    if len(document.causes) == 1 and document.effect_on_calibration:
+    """Return by how many standard uncertainties ignoring a cause biases the worst parameter."""
+    if _is_only_cause(document):
         return max(change.sigma for change in document.effect_on_calibration)
     return cause.harm_sigma
+
+
+def parameter_changes(document: FindingsDocument, cause: CauseEntry) -> list[ChangeEntry]:
+    """Return how a cause changes the calibration.
+
+    For the only cause of a document, these are the differences of the two fits, with and without
+    it. The changes by one of several causes are taken to first order.
+    """
+    whole_fit = _is_only_cause(document)
+    return document.effect_on_calibration if whole_fit else cause.effect_on_calibration
+
+
+def _is_only_cause(document: FindingsDocument) -> bool:
+    """Return whether the changes of the whole fit are those by a single cause."""
+    return len(document.causes) == 1 and bool(document.effect_on_calibration)
 
 
 def p_value_text(p_value: float) -> str:
@@ -210,8 +222,8 @@ def findings_summary(document: FindingsDocument) -> str:
         if gain is not None and gain.held_out_log_likelihood is not None:
             lines.append(
                 f"  {name:<20}  log-likelihood {gain.held_out_log_likelihood:+.1f} nats; residual "
-                f"{_deg_per_s_text(gain.residual_rms_before)} to "
-                f"{_deg_per_s_text(gain.residual_rms_after)} deg/s"
+                f"{deg_per_s_text(gain.residual_rms_before)} to "
+                f"{deg_per_s_text(gain.residual_rms_after)} deg/s"
             )
     detectable = [limit for limit in document.minimal_detectable if limit.by_sigma is not None]
     for limit in detectable[:3]:
@@ -243,16 +255,11 @@ def next_experiment_lines(document: FindingsDocument) -> list[str]:
         if proposed.program is None or is_hopeless:
             (hidden if is_alone else open_pairs).append(names)
             continue
-        if is_alone:
-            lines.append(
-                f"It shows {names} of the typical size: expected log Bayes factor "
-                f"{format_short(pair.expected_log_bayes_factor or 0.0)}, found with a probability "
-                f"of {_percent_text(pair.probability or 0.0)}."
-            )
-            continue
+        purpose = f"shows {names} of the typical size" if is_alone else f"separates {names}"
         lines.append(
-            f"It separates {names}: expected log Bayes factor "
-            f"{format_short(pair.expected_log_bayes_factor or 0.0)}, one name with a probability "
+            f"It {purpose}: expected log Bayes factor "
+            f"{format_short(pair.expected_log_bayes_factor or 0.0)}, "
+            f"{'found' if is_alone else 'one name'} with a probability "
             f"of {_percent_text(pair.probability or 0.0)}."
         )
     limit = "" if proposed.longest_s is None else f" of at most {proposed.longest_s:g} s"
@@ -297,5 +304,6 @@ def _cause_lines(document: FindingsDocument, cause: CauseEntry) -> list[str]:
     return lines
 
 
-def _deg_per_s_text(value: float | None) -> str:
+def deg_per_s_text(value: float | None) -> str:
+    """Return a rate in deg/s, without its unit."""
     return "?" if value is None else format_short(value * DEG_PER_RAD)

@@ -16,10 +16,12 @@ from gyrorig_solver.findings import (
 from gyrorig_solver.findings.findings_document import ChangeEntry, GainEntry
 from gyrorig_solver.findings.findings_wording import (
     cause_headline,
+    deg_per_s_text,
     lower_title,
     named_causes_text,
     p_value_text,
     parameter_bias_sigma,
+    parameter_changes,
     size_text,
     verdict_words,
 )
@@ -143,9 +145,7 @@ def _effect_text(document: FindingsDocument, cause: CauseEntry) -> str:
     if bias_sigma is None:
         term = catalogue().get(cause.cause)
         return "" if term is None else _sentence(term.effect_if_ignored)
-    changes = (
-        document.effect_on_calibration if len(document.causes) == 1 else cause.effect_on_calibration
-    )
+    changes = parameter_changes(document, cause)
     name = f" ({max(changes, key=lambda change: change.sigma).parameter})" if changes else ""
     return (
         "Without this cause in the fit, the calibration is wrong by up to "
@@ -165,8 +165,8 @@ def _tiles(document: FindingsDocument) -> list[dict[str, str]]:
             tiles.append(
                 _tile(
                     "residual on held-out data",
-                    f"{_deg_s_text(before)} →",
-                    _deg_s_text(after),
+                    f"{deg_per_s_text(before)} →",
+                    deg_per_s_text(after),
                     "deg/s rms",
                 )
             )
@@ -214,9 +214,6 @@ def _cause_view(
     number = names.index(cause.recording) + 1 if cause.recording in names else None
     key = figure_key_at(cause.cause, components, number)
     p_value = cause.evidence.p_value
-    # Of a single cause, the changes are those of the whole fit: one number for one thing.
-    is_single = len(document.causes) == 1 and bool(document.effect_on_calibration)
-    changes = document.effect_on_calibration if is_single else cause.effect_on_calibration
     return {
         "title": cause_headline(cause),
         "id": cause.cause,
@@ -236,7 +233,7 @@ def _cause_view(
         "figure": figures.get(key, ""),
         "compared": _compared_rows(cause),
         "gain": _gain_text(cause.gain),
-        "changes": _change_rows(changes),
+        "changes": _change_rows(parameter_changes(document, cause)),
     }
 
 
@@ -282,8 +279,8 @@ def _gain_text(gain: GainEntry | None) -> str:
     text = f"{_nats_text(gain)} nats ({_interval_text(gain)})"
     if gain.residual_rms_before is not None and gain.residual_rms_after is not None:
         text += (
-            f"; residual {_deg_s_text(gain.residual_rms_before)} to "
-            f"{_deg_s_text(gain.residual_rms_after)} deg/s rms"
+            f"; residual {deg_per_s_text(gain.residual_rms_before)} to "
+            f"{deg_per_s_text(gain.residual_rms_after)} deg/s rms"
         )
     return text + (f"; {gain.how}" if gain.how else "")
 
@@ -374,7 +371,3 @@ def _base_model_text(document: FindingsDocument) -> str:
     if base.whiteness_p is not None:
         text += f" The whiteness test of its residual gives {p_value_text(base.whiteness_p)}."
     return text
-
-
-def _deg_s_text(value: float) -> str:
-    return format_short(value * DEG_PER_RAD)
