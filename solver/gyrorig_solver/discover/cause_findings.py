@@ -199,8 +199,8 @@ class DetectionLimit:
     size: float  # smallest size that the test detects with a power of 0.8, SI
     unit: str
     typical: float
-    biased_parameter: str  # the calibration parameter that the cause would bias most
-    parameter_bias_sigma: float  # that bias at this size, in standard uncertainties
+    biased_parameter: str = ""  # the calibration parameter that the cause would bias most
+    parameter_bias_sigma: float = 0.0  # that bias at this size, in standard uncertainties
 
 
 @dataclass(frozen=True, slots=True)

@@ -217,6 +217,7 @@ def _untestable_causes(
     """Return the causes that this residual cannot test, with the reasons."""
     untestable: list[UntestableCause] = []
     scored = {(score.term.cause, score.place) for score in scores}
+    separately_scored = {cause for cause, place in scored if place is not None}
     has_unit = any(state.has_angles for state in projection.states)
     for usual_term in terms:
         term = form_of(usual_term, projection)
@@ -231,16 +232,11 @@ def _untestable_causes(
             missing = why_not_testable(term, projection.states)
             if missing is not None:
                 untestable.append(UntestableCause(cause, None, missing))
-            elif any(c == cause for c, _ in scored):
-                candidate_places = [
-                    p for p in components_of(term) if p in ("pan", "tilt", "x", "y", "z")
-                ]
+            elif cause in separately_scored:
                 untestable += [
                     UntestableCause(cause, place, term.excitation)
-                    for place in candidate_places
-                    if len(candidate_places) > 1
-                    and (cause, place) not in scored
-                    and any(p is not None for c, p in scored if c == cause)
+                    for place in components_of(term)
+                    if (cause, place) not in scored
                 ]
     return untestable
 

@@ -17,7 +17,7 @@ from gyrorig_solver.discover.fit_explanation import assemble_findings
 from gyrorig_solver.discover.fitted_values import value_stds
 from gyrorig_solver.discover.held_out_gain import compare_residuals, cross_validate_causes
 from gyrorig_solver.estimate import GyroFit, free_term
-from gyrorig_solver.model import term_label, value_names, why_not_testable
+from gyrorig_solver.model import value_names, why_not_testable
 
 MAX_SEARCHES = 3  # after the first one
 
@@ -111,18 +111,14 @@ def search_attitudes(base: AttitudeFitSpace) -> SearchResult[AttitudeFitSpace]:
     for _ in range(MAX_SEARCHES):
         if not result.space.fitted_terms:
             break
-        labels = _labels(result.space)
+        labels = result.space.labels
         result = search_causes(result.space.relinearised())
-        if _labels(result.space) == labels:
+        if result.space.labels == labels:
             return result
     if result.space.fitted_terms:
         space = result.space.relinearised()
         return replace(result, space=space, projector=space.projector())
     return replace(result, space=base, projector=base.projector())
-
-
-def _labels(space: AttitudeFitSpace) -> list[str]:
-    return [term_label(fitted_term.term) for fitted_term in space.fitted_terms]
 
 
 def extend_attitudes(

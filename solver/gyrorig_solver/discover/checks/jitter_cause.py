@@ -60,9 +60,13 @@ def _detect_jitter(projection: NuisanceProjector, tests: int, with_motion_noise:
     if p_value >= FALSE_ALARM_RATE:
         parameter = term.parameters[0]
         limit = DetectionLimit(
-            term.cause, None, estimate.detectable_s, parameter.unit, parameter.typical_size,
-            "time_offset", 0.0,
-        )  # fmt: skip
+            term.cause,
+            None,
+            estimate.detectable_s,
+            parameter.unit,
+            parameter.typical_size,
+            "time_offset",
+        )
         return Verdict(detection_limits=(limit,))
     # The size of true jitter depends on no covariate.
     modulation = estimate.modulation

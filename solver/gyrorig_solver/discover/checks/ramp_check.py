@@ -79,12 +79,15 @@ def detect_ramp_error(solution: ConvergedFit, tests: int) -> Verdict:
         )
         limits = tuple(
             DetectionLimit(
-                term.cause, place, required_sigma * float(std), parameter.unit,
-                parameter.typical_size, "", 0.0,
+                term.cause,
+                place,
+                required_sigma * float(std),
+                parameter.unit,
+                parameter.typical_size,
             )
             for place, std in zip(PAN_TILT, deviation, strict=True)
             if np.isfinite(std)
-        )  # fmt: skip
+        )
         return Verdict(detection_limits=limits)
     acts = np.abs(mean) > ACTING_SIGMA * deviation
     acts[int(np.argmax(np.abs(mean) / deviation))] = True
