@@ -10,7 +10,7 @@ law, the cause is fitted to all boards and to the position replies, which they s
 
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -54,6 +54,15 @@ MAX_MOTION_UNKNOWNS = 4000  # with more, a dense matrix of the unknowns takes to
 MAX_JOINT_ONLY_CAUSES = 4  # causes that only all boards together show
 
 CauseByBoard = dict[int, tuple[FittedTerm, RankedCause]]  # causes that may be the same, by board
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _CommonSize:
+    """A cause with one size on all boards, about which the boards agree."""
+
+    cause: FittedCandidate
+    quadratics: Sequence[LocalQuadratic]  # the likelihood of each board about this size
+    disagreement_p: float  # p-value of the boards having one size
 
 
 def explain_jointly(bases: Mapping[str, ConvergedFit]) -> dict[str, FitExplanation]:
@@ -200,18 +209,23 @@ def _resolve_cause(boards: Sequence[BoardSearch], matched: CauseByBoard) -> None
         # chance.
         for k, (cause, _) in matched.items():
             boards[k].drop_cause(cause)
-    elif _has_one_size(projectors, hypotheses[0].common):
-        _fit_common_size(boards, projectors, matched, hypotheses)
-    else:
-        _fit_separate_sizes(boards, matched, hypotheses)
-
-
-def _has_one_size(projectors: Sequence[NuisanceProjector], common: FittedCandidate | None) -> bool:
-    """Return whether the boards agree about the one size of a cause."""
+        return
+    common = _agree_on_size(projectors, hypotheses[0].common)
     if common is None:
-        return False
-    quadratics = [local_quadratic(projector, common) for projector in projectors]
-    return homogeneity_p_value(quadratics) >= MIN_HOMOGENEITY_P
+        _fit_separate_sizes(boards, matched, hypotheses)
+    else:
+        _fit_common_size(boards, projectors, matched, hypotheses, common)
+
+
+def _agree_on_size(
+    projectors: Sequence[NuisanceProjector], cause: FittedCandidate | None
+) -> _CommonSize | None:
+    """Return the one size of a cause on all boards; None if the boards disagree about it."""
+    if cause is None:
+        return None
+    quadratics = [local_quadratic(projector, cause) for projector in projectors]
+    p_value = homogeneity_p_value(quadratics)
+    return _CommonSize(cause, quadratics, p_value) if p_value >= MIN_HOMOGENEITY_P else None
 
 
 def _fit_common_size(
@@ -219,16 +233,14 @@ def _fit_common_size(
     projectors: Sequence[NuisanceProjector],
     matched: CauseByBoard,
     hypotheses: list[ScopeHypothesis],
+    common: _CommonSize,
 ) -> None:
-    joint = hypotheses[0].common
-    if joint is None:
-        return
-    quadratics = [local_quadratic(projector, joint) for projector in projectors]
+    joint, quadratics = common.cause, common.quadratics
     attribution = Attribution(
         "unit",
         sum(quadratic.delta_log_likelihood > DETECTED_NATS for quadratic in quadratics),
         len(quadratics),
-        homogeneity_p_value(quadratics),
+        common.disagreement_p,
     )
     joint_projector = JointProjector(projectors)
     joint_quadratic = local_quadratic(joint_projector, joint)
@@ -328,14 +340,12 @@ def _find_joint_only_causes(boards: Sequence[BoardSearch]) -> None:
             for hypothesis in compare_scopes(projectors, term, tests)
         ]
         hypotheses.sort(key=lambda hypothesis: -hypothesis.log_evidence)
-        best = hypotheses[0].common if hypotheses else None
-        if (
-            not _has_one_size(projectors, best)
-            or best is None
-            or global_p_value(best, hypotheses[0].effective_trials, tests) > FALSE_ALARM_RATE
-        ):
+        common = _agree_on_size(projectors, hypotheses[0].common) if hypotheses else None
+        if common is None:
             return
-        _fit_common_size(boards, projectors, {}, hypotheses)
+        if global_p_value(common.cause, hypotheses[0].effective_trials, tests) > FALSE_ALARM_RATE:
+            return
+        _fit_common_size(boards, projectors, {}, hypotheses, common)
 
 
 def _attribute_remaining(boards: Sequence[BoardSearch]) -> None:
