@@ -94,8 +94,8 @@ def lag_family(states: Sequence[SignalState]) -> BasisFamily:
     return BasisFamily(LAG_FAMILY, "on the time (the lag changes)", batches, np.ones(count))
 
 
-def lag_templates(projection: NuisanceProjector, term: Term) -> FloatArray:
-    """Return the templates of a cause that fit the lag by time best, (b, k)."""
+def lag_templates(projection: NuisanceProjector, term: Term) -> tuple[FloatArray, int]:
+    """Return the templates of a cause that fit the lag by time best (b, k), out of how many."""
     series = LagSeries.at(projection)
     middle_s = 0.5 * (series.edges_s[:-1] + series.edges_s[1:])
     bank = np.unique(np.concatenate([term.template_bank(s) for s in projection.states]), axis=0)
@@ -113,7 +113,7 @@ def lag_templates(projection: NuisanceProjector, term: Term) -> FloatArray:
             chosen.append(k)
         if len(chosen) == MAX_TEMPLATES:
             break
-    return np.asarray(bank[chosen], dtype=np.float64)
+    return np.asarray(bank[chosen], dtype=np.float64), len(bank)
 
 
 def _difference(series: LagSeries, first: FloatArray, second: FloatArray) -> float:

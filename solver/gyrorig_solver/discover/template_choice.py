@@ -61,10 +61,9 @@ def all_templates(projection: NuisanceProjector, term: Term) -> tuple[FloatArray
     if term.template_search == "spectral_lines":
         return _line_templates(projection, term)
     if term.template_search == "lag_series":
-        templates = lag_templates(projection, term)
-    else:
-        banks = [term.template_bank(scene) for scene in projection.states]
-        templates = np.unique(np.concatenate(banks), axis=0)
+        return lag_templates(projection, term)
+    banks = [term.template_bank(scene) for scene in projection.states]
+    templates = np.unique(np.concatenate(banks), axis=0)
     return templates, len(templates)
 
 

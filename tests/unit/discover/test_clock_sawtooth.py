@@ -35,7 +35,7 @@ def test_a_sawtooth_has_one_name_and_its_values(session: Any) -> None:
 def test_the_lag_by_time_shows_it(session: Any, hidden: Callable[..., Any]) -> None:
     projector = MotionFitSpace(fit_base_model([session.recording], session.board)).projector()
     assert LagSeries.at(projector).p_value < 1e-6
-    best = lag_templates(projector, find_term("clock_sawtooth"))[0]
+    best = lag_templates(projector, find_term("clock_sawtooth"))[0][0]
     assert best[1] == pytest.approx(session.truth[0]["parameters"]["period"]["value"], rel=0.1)
     plain = hidden(seed=4, program="survey-40")
     without = MotionFitSpace(fit_base_model([plain.recording], plain.board)).projector()

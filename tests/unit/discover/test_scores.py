@@ -37,11 +37,11 @@ def test_rows_together_are_rows_one_by_one(projection: NuisanceProjector, cause:
         assert len(sight.detectable_sizes) == len(rows)
 
 
-@pytest.mark.parametrize("cause", ["lost_steps", "supply_hum"])
+@pytest.mark.parametrize("cause", ["lost_steps", "supply_hum", "clock_sawtooth"])
 def test_templates_that_were_scanned_count_although_few_are_tested(
     projection: NuisanceProjector, cause: str
 ) -> None:
-    """Both scans take the pulses or lines at the peaks of the residual, out of the same ones."""
+    """Both scans take pulses, lines or lags at the peaks of the residual, out of the same."""
     term = catalogue()[cause]
     quick = scan_catalogue(projection, [term], 40)
     every = scan_catalogue(projection, [term], 40, all_templates(projection, term))
