@@ -157,6 +157,27 @@ class NamedCause:
         return max((change.sigma for change in self.changes), default=0.0)
 
 
+@dataclass(frozen=True, slots=True)
+class SignificanceTest:
+    """A statistic that is chi-squared in noise, with its p-value."""
+
+    statistic: float
+    degrees_of_freedom: int
+    p_value: float
+
+    @property
+    def excess(self) -> float:
+        """The statistic minus its mean in noise."""
+        return self.statistic - self.degrees_of_freedom
+
+    def on(self, covariate: str, description: str, tests: int = 1) -> "DependenceTest":
+        """Return the test as that of a covariate; `tests`: how many share the false alarms."""
+        p_value = min(1.0, self.p_value * tests)
+        return DependenceTest(
+            covariate, description, self.statistic, self.degrees_of_freedom, p_value
+        )
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class DependenceTest:
     """A test of whether the residual depends on a covariate, without naming a cause."""

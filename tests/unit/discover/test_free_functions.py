@@ -52,7 +52,7 @@ def test_a_smooth_function_is_found_by_its_few_degrees_of_freedom() -> None:
     white = rng.standard_normal((detail.size, N))
     judged = choose_detail(_looked(white, 0.5 * white[1] + rng.standard_normal(N)), detail)
     assert judged is not None
-    assert judged.score_test.degrees_of_freedom == 3
+    assert judged.degrees_of_freedom == 3
 
 
 def test_evidence_is_the_ratio_of_two_normal_densities() -> None:
@@ -137,4 +137,4 @@ def test_a_stated_p_value_of_moves_is_of_the_exact_signals(
     family = families[stated[0].description]
     exact = choose_detail(family.statistics(plain), family.detail)
     assert exact is not None
-    assert stated[0].statistic == exact.score_test.statistic
+    assert stated[0].statistic == exact.statistic

@@ -7,7 +7,6 @@ What to use when: `JitterCheck` after a search.
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -15,13 +14,13 @@ import numpy as np
 from gyrorig_solver.discover.cause_findings import (
     DependenceTest,
     DetectionLimit,
+    SignificanceTest,
     UntestableCause,
 )
 from gyrorig_solver.discover.checks.jitter_estimate import JitterEstimate, estimate_jitter
 from gyrorig_solver.discover.checks.model_check import JudgedModel, Verdict
 from gyrorig_solver.discover.checks.residual_dependence import most_significant
 from gyrorig_solver.discover.checks.specification_tests import NEGLIGIBLE_SHARE, REJECTION_LEVEL
-from gyrorig_solver.discover.checks.variance_trend import VarianceTrendTest
 from gyrorig_solver.discover.motion_space import MotionFitSpace
 from gyrorig_solver.discover.named_causes import name_outside_fit
 from gyrorig_solver.discover.score_tests import FALSE_ALARM_RATE
@@ -90,7 +89,7 @@ def _detect_jitter(projection: NuisanceProjector, tests: int, with_motion_noise:
 
 
 def _explain_tests(
-    trend: VarianceTrendTest, tests: Sequence[DependenceTest]
+    trend: SignificanceTest, tests: Sequence[DependenceTest]
 ) -> list[DependenceTest]:
     """Return the dependence tests that jitter does not explain.
 
@@ -98,18 +97,13 @@ def _explain_tests(
     """
     remaining = [test for test in tests if test.covariate not in JITTER_COVARIATES]
     remaining += [
-        replace(
-            test,
-            statistic=trend.statistic,
-            degrees_of_freedom=trend.degrees_of_freedom,
-            p_value=min(1.0, trend.p_value * len(tests)),
-        )
+        trend.on(test.covariate, test.description, len(tests))
         for test in tests
         if test.covariate == "moving"
     ]
     return most_significant(remaining)
 
 
-def _is_relevant(test: DependenceTest | VarianceTrendTest, estimate: JitterEstimate) -> bool:
+def _is_relevant(test: DependenceTest | SignificanceTest, estimate: JitterEstimate) -> bool:
     """Return whether a test rejects a form of the scatter by more than the error of any form."""
     return test.p_value < REJECTION_LEVEL and test.excess > NEGLIGIBLE_SHARE * estimate.statistic

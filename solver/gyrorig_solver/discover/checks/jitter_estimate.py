@@ -28,10 +28,9 @@ import numpy as np
 from scipy.fft import dct
 
 from gyrorig_solver.data import BoolArray, FloatArray, IntArray
-from gyrorig_solver.discover.cause_findings import DependenceTest
+from gyrorig_solver.discover.cause_findings import DependenceTest, SignificanceTest
 from gyrorig_solver.discover.checks.jitter_modulation import BlockMotion, find_modulation
 from gyrorig_solver.discover.checks.variance_trend import (
-    VarianceTrendTest,
     fit_variance_trend,
     speed_shapes,
 )
@@ -62,7 +61,7 @@ class JitterEstimate:
     rival_nats: tuple[float, ...]  # gain of other shapes of the variance, relative to jitter
     is_consistent: bool  # slow and fast coefficients agree
     detectable_s: float  # smallest detectable deviation, for the number of tests
-    remaining_trend: VarianceTrendTest  # of the variance without the jitter, by motion and speed
+    remaining_trend: SignificanceTest  # of the variance without the jitter, by motion and speed
     modulation: DependenceTest | None  # of its size, by the most significant covariate
 
     @property
@@ -162,7 +161,7 @@ def estimate_jitter(
 
 def _remaining_trend(
     jitter: _VarianceModel, size: float, speeds: FloatArray, shape: tuple[int, ...]
-) -> VarianceTrendTest:
+) -> SignificanceTest:
     """Test whether the variance without that of the jitter still grows with motion and speed.
 
     Args:

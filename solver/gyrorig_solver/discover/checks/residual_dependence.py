@@ -11,12 +11,12 @@ is not typical, `dependences_on` for chosen functions; `variance_tests` for the 
 """
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from gyrorig_solver.data import BoolArray, FloatArray
-from gyrorig_solver.discover.cause_findings import DependenceTest
+from gyrorig_solver.discover.cause_findings import DependenceTest, SignificanceTest
 from gyrorig_solver.discover.checks.basis_family import BasisFamily
 from gyrorig_solver.discover.checks.smooth_alternatives import smooth_families
 from gyrorig_solver.discover.checks.variance_trend import fit_variance_trend, speed_shapes
@@ -34,14 +34,6 @@ EXACT_BELOW_P = 1.0  # p-value, with all tests counted, below which the exact si
 REFINE_BELOW_P = 0.05  # p-value below which the test is repeated with fitted noise levels
 NO_SCORE_TEST = ScoreTest(0.0, 0, np.zeros(0))
 VARIANCE_GRID = np.exp(np.linspace(-4.0, 16.0, 61))  # of a smooth function, relative to the noise
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class DetailTest:
-    """The score test of a basis family at its most significant detail."""
-
-    score_test: ScoreTest  # at the most significant detail
-    p_value: float  # with the choice of the detail counted
 
 
 def residual_dependence_tests(projection: NuisanceProjector) -> list[DependenceTest]:
@@ -122,19 +114,14 @@ def _dependence_test(
     projection: NuisanceProjector, family: BasisFamily, tests: int
 ) -> DependenceTest | None:
     statistics = family.screen(projection) or family.statistics(projection)
-    detail_test = choose_detail(statistics, family.detail)
-    if detail_test is not None and detail_test.p_value * tests < EXACT_BELOW_P:
+    test = choose_detail(statistics, family.detail)
+    if test is not None and test.p_value * tests < EXACT_BELOW_P:
         statistics = family.statistics(projection)
-        detail_test = choose_detail(statistics, family.detail)
-    if detail_test is None:
+        test = choose_detail(statistics, family.detail)
+    if test is None:
         return None
-    score_test = detail_test.score_test
-    return DependenceTest(
-        family.covariate,
-        family.description,
-        score_test.statistic,
-        score_test.degrees_of_freedom,
-        min(1.0, detail_test.p_value * tests),
+    return replace(
+        test.on(family.covariate, family.description, tests),
         log_evidence=smooth_function_evidence(statistics, family.detail),
         recording_index=family.recording_index,
     )
@@ -149,18 +136,17 @@ def _refined(
     usual = choose_detail(family.statistics(usual_projector), family.detail)
     if usual is None or usual.p_value * tests <= test.p_value:
         return test
-    score_test = usual.score_test
     return replace(
         test,
-        statistic=score_test.statistic,
-        degrees_of_freedom=score_test.degrees_of_freedom,
+        statistic=usual.statistic,
+        degrees_of_freedom=usual.degrees_of_freedom,
         p_value=min(1.0, usual.p_value * tests),
     )
 
 
 def choose_detail(
     statistics: ScoreStatistics, detail: FloatArray, nuisance_count: int = 0
-) -> DetailTest | None:
+) -> SignificanceTest | None:
     """Return the test at the detail with the smallest p-value; None if no signal is left.
 
     Each set of signals up to some detail gives a chi-squared statistic in noise. The smallest
@@ -178,7 +164,7 @@ def choose_detail(
     sets = {
         int((detail <= limit).sum()): np.flatnonzero(detail <= limit) for limit in DETAIL_LIMITS
     }
-    best: DetailTest | None = None
+    best: SignificanceTest | None = None
     for chosen in sets.values():
         if not chosen.size:
             continue
@@ -189,7 +175,7 @@ def choose_detail(
         if degrees > 0:
             p_value = min(1.0, len(sets) * chi2_upper_tail(statistic, degrees))
             if best is None or p_value < best.p_value:
-                best = DetailTest(ScoreTest(statistic, degrees, score_test.one_step_sizes), p_value)
+                best = SignificanceTest(statistic, degrees, p_value)
     return best
 
 
@@ -273,10 +259,7 @@ def variance_tests(projection: NuisanceProjector, tests: int) -> list[Dependence
     ):
         trend = fit_variance_trend(shapes[:, used], excess[used])
         if trend.degrees_of_freedom:
-            p_value = min(1.0, trend.p_value * tests)
-            results.append(
-                DependenceTest(name, words, trend.statistic, trend.degrees_of_freedom, p_value)
-            )
+            results.append(trend.on(name, words, tests))
     results.append(_spectral_line_test(projection, residual, tests))
     return results
 

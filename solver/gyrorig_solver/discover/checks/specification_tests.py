@@ -213,17 +213,8 @@ def nonparametric_specification_test(
         statistics = projection.score_statistics(whitened)
     else:
         statistics = family.statistics(projection)
-    detail_test = choose_detail(statistics, family.detail, nuisance_count=len(held_indices))
-    if detail_test is None:
-        return None
-    score_test = detail_test.score_test
-    return DependenceTest(
-        family.covariate,
-        family.description,
-        score_test.statistic,
-        score_test.degrees_of_freedom,
-        detail_test.p_value,
-    )
+    test = choose_detail(statistics, family.detail, nuisance_count=len(held_indices))
+    return None if test is None else test.on(family.covariate, family.description)
 
 
 def _is_below_one_step(space: FitSpace, projector: NuisanceProjector, k: int) -> bool:

@@ -3,11 +3,10 @@
 What to use when: `fit_variance_trend` for any shapes; `speed_shapes` for motion and speed.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from gyrorig_solver.data import FloatArray
+from gyrorig_solver.discover.cause_findings import SignificanceTest
 from gyrorig_solver.numerics import chi2_upper_tail, normal_upper_tail, score_statistic
 
 SPEED_WAVES = 3  # half waves over the speeds
@@ -16,21 +15,7 @@ MOVING_RAD_S = 1e-3
 MIN_RELATIVE_STRENGTH = 1e-7
 
 
-@dataclass(frozen=True, slots=True)
-class VarianceTrendTest:
-    """The result of a test of a variance trend."""
-
-    statistic: float
-    degrees_of_freedom: int
-    p_value: float
-
-    @property
-    def excess(self) -> float:
-        """The statistic minus its mean in noise."""
-        return self.statistic - self.degrees_of_freedom
-
-
-NO_TREND = VarianceTrendTest(0.0, 0, 1.0)
+NO_TREND = SignificanceTest(0.0, 0, 1.0)
 
 
 def speed_shapes(speed_rad_s: FloatArray, fastest_rad_s: float) -> FloatArray:
@@ -42,7 +27,7 @@ def speed_shapes(speed_rad_s: FloatArray, fastest_rad_s: float) -> FloatArray:
 
 def fit_variance_trend(
     shapes: FloatArray, excess: FloatArray, two_sided: bool = False
-) -> VarianceTrendTest:
+) -> SignificanceTest:
     """Test whether a variance grows with given shapes: with the first, or with all together.
 
     Let w be a shape minus its mean, and e the squares minus 1. In noise, z = w e / sqrt(2 w w) is
@@ -61,12 +46,12 @@ def fit_variance_trend(
     if first_norm <= 0.0:
         return NO_TREND
     z = float(weights[0] @ excess) / first_norm
-    first_shape_test = VarianceTrendTest(max(z, 0.0) ** 2, 1, normal_upper_tail(z))
+    first_shape_test = SignificanceTest(max(z, 0.0) ** 2, 1, normal_upper_tail(z))
     if len(shapes) == 1 or (z <= 0.0 and not two_sided):
         return first_shape_test
     statistic, degrees = score_statistic(
         2.0 * weights @ weights.T, weights @ excess, MIN_RELATIVE_STRENGTH
     )
-    joint_test = VarianceTrendTest(statistic, degrees, chi2_upper_tail(statistic, degrees))
+    joint_test = SignificanceTest(statistic, degrees, chi2_upper_tail(statistic, degrees))
     best = min(first_shape_test, joint_test, key=lambda test: test.p_value)
-    return VarianceTrendTest(best.statistic, best.degrees_of_freedom, min(1.0, 2.0 * best.p_value))
+    return SignificanceTest(best.statistic, best.degrees_of_freedom, min(1.0, 2.0 * best.p_value))
