@@ -19,7 +19,7 @@ import numpy as np
 from gyrorig_solver.data import FloatArray, IntArray
 from gyrorig_solver.discover.template_choice import quick_templates
 from gyrorig_solver.estimate import LawStatistics, NuisanceProjector, ScoreStatistics
-from gyrorig_solver.model import SignalState, Term, components_of, value_indices, value_parameters
+from gyrorig_solver.model import Term, components_of, value_indices, value_parameters
 from gyrorig_solver.numerics import chi2_upper_tail, detection_noncentrality
 
 # Share of recordings without any cause in which the search may name a cause. The tests overlap: 157
@@ -296,15 +296,11 @@ def score_batches(
     for first in range(0, len(templates), count):
         batch = list(templates[first : first + count])
         signals = projection.evaluate_together(
-            [partial(_tangent_signals, term, template) for template in batch],
+            [partial(term.tangent_signals, values=template) for template in batch],
             sizes * len(batch),
             term,
         )
         yield batch, projection.score_statistics(signals)
-
-
-def _tangent_signals(term: Term, template: FloatArray, scene: SignalState) -> FloatArray:
-    return term.tangent_signals(scene, template)
 
 
 def _count_effective_trials(information: FloatArray, sizes: int) -> float:

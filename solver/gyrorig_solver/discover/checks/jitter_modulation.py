@@ -21,12 +21,11 @@ import numpy as np
 
 from gyrorig_solver.data import BoolArray, FloatArray
 from gyrorig_solver.discover.cause_findings import DependenceTest
+from gyrorig_solver.discover.checks.variance_trend import MIN_RELATIVE_STRENGTH
 from gyrorig_solver.model import SignalState
 from gyrorig_solver.numerics import chi2_upper_tail, score_statistic
 
 MODULATION_WAVES = 3  # half waves of the speed and of the time
-# Relative to the strongest; modulations that are sums of others add no information.
-MIN_RELATIVE_STRENGTH = 1e-7
 DESCRIPTIONS = {
     "pan_transient": "on which axis starts and stops (the scatter changes)",
     "speed": "on the speed (the scatter changes)",
