@@ -12,7 +12,7 @@ What to use when: `scan_catalogue` in each iteration of a search; `ScoreTest.of`
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cache, partial
 
 import numpy as np
 
@@ -20,7 +20,7 @@ from gyrorig_solver.data import FloatArray, IntArray
 from gyrorig_solver.discover.template_choice import quick_templates
 from gyrorig_solver.estimate import LawStatistics, NuisanceProjector, ScoreStatistics
 from gyrorig_solver.model import Term, components_of, value_indices, value_parameters
-from gyrorig_solver.numerics import chi2_upper_tail, detection_noncentrality
+from gyrorig_solver.numerics import chi2_noncentrality, chi2_quantile, chi2_upper_tail
 
 # Share of recordings without any cause in which the search may name a cause. The tests overlap: 157
 # such recordings had three quarters of the false names that the sum of the tests allows. The rest
@@ -33,6 +33,21 @@ MAX_JOINT_SIGNALS = 48
 SIGNALS_PER_BATCH = 24  # signals that are whitened together; more are not faster
 MAX_SIGNAL_VALUES = 4_000_000  # of signals that are whitened together, to limit the memory
 MAX_SEPARATE_PLACES = 3  # causes with more parts are tested only with all parts together
+
+
+@cache
+def detection_noncentrality(degrees_of_freedom: int, test_count: int) -> float:
+    """Return the non-centrality at which a chi-squared test has the power `DETECTION_POWER`.
+
+    Args:
+        degrees_of_freedom: of the statistic.
+        test_count: tests that share the false alarms (Bonferroni).
+    """
+    return chi2_noncentrality(
+        chi2_quantile(FALSE_ALARM_RATE / test_count, degrees_of_freedom),
+        degrees_of_freedom,
+        DETECTION_POWER,
+    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -6,9 +6,9 @@ with many local and a few shared unknowns, `information_matrices` for dense ones
 
 from gyrorig_solver.numerics.arrowhead import ArrowheadMatrix, eliminate_local, solve_arrowhead
 from gyrorig_solver.numerics.distributions import (
+    chi2_noncentrality,
     chi2_quantile,
     chi2_upper_tail,
-    detection_noncentrality,
     f_upper_tail,
     normal_quantile,
     normal_score,
@@ -23,9 +23,9 @@ from gyrorig_solver.numerics.information_matrices import (
 
 __all__ = [
     "ArrowheadMatrix",
+    "chi2_noncentrality",
     "chi2_quantile",
     "chi2_upper_tail",
-    "detection_noncentrality",
     "eliminate_local",
     "f_upper_tail",
     "normal_quantile",

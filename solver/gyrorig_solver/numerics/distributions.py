@@ -6,15 +6,11 @@ these, but takes half a second to import.
 Source: scipy.special, i.e. Cephes and Boost; names as in Johnson, Kotz and Balakrishnan.
 """
 
-from functools import cache
-
 import numpy as np
 from scipy import special
 
 from gyrorig_solver.data import FloatArray
 
-# Of a cause of the detectable size; of all tests of one recording together.
-DETECTION_POWER, FALSE_ALARM_RATE = 0.8, 0.01
 _MIN_TAIL = 1e-280
 _MAX_STUDENT_DEGREES = 1e9  # more make no difference to a normal distribution
 
@@ -32,21 +28,6 @@ def chi2_quantile(probability: float, degrees: float) -> float:
 def chi2_noncentrality(limit: float, degrees: float, power: float) -> float:
     """Return the non-centrality at which a chi-squared variable exceeds a limit with a power."""
     return float(special.chndtrinc(limit, degrees, 1.0 - power))
-
-
-@cache
-def detection_noncentrality(degrees_of_freedom: int, test_count: int) -> float:
-    """Return the non-centrality at which a chi-squared test has the power `DETECTION_POWER`.
-
-    Args:
-        degrees_of_freedom: of the statistic.
-        test_count: tests that share the false alarms (Bonferroni).
-    """
-    return chi2_noncentrality(
-        chi2_quantile(FALSE_ALARM_RATE / test_count, degrees_of_freedom),
-        degrees_of_freedom,
-        DETECTION_POWER,
-    )
 
 
 def f_upper_tail(statistic: float, degrees: float, denominator_degrees: float) -> float:

@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gyrorig_solver.data import FloatArray
+from gyrorig_solver.discover.score_tests import detection_noncentrality
 from gyrorig_solver.model import (
     SignalState,
     Site,
@@ -24,7 +25,6 @@ from gyrorig_solver.model import (
     why_not_testable,
 )
 from gyrorig_solver.model.catalogue import catalogue
-from gyrorig_solver.numerics import detection_noncentrality
 from gyrorig_solver.plan.effect_information import EffectInformation, ReducedEffects
 from gyrorig_solver.plan.prediction import STATED_PARAMETERS, Prediction
 from gyrorig_solver.plan.scan_templates import (

