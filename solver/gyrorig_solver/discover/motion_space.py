@@ -154,9 +154,10 @@ class MotionFitSpace(FitSpace):
             total -= reference_cost(session.reference)
             residuals = session.residuals(solution.gain)
             for index, (series, residual) in enumerate(zip(session.series, residuals, strict=True)):
-                masked = np.where(next(masks)[:, None], residual, 0.0)
+                mask = next(masks)
+                masked = np.where(mask[:, None], residual, 0.0)
                 stds = [own_session.relative_std(index, blocks) for blocks in series.part_slices()]
-                total -= residual_cost(series, masked, noise, stds)
+                total -= residual_cost(series, masked, mask, noise, stds)
         return total
 
     def noise_alternative(

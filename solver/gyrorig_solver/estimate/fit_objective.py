@@ -13,7 +13,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from gyrorig_solver.data import FloatArray
+from gyrorig_solver.data import BoolArray, FloatArray
+from gyrorig_solver.estimate.linear.gap_fill import gap_fill
 from gyrorig_solver.estimate.noise.noise_model import NoiseModel, dct_frequencies_hz
 from gyrorig_solver.estimate.noise.relative_std import (
     RelativeStd,
@@ -52,14 +53,16 @@ def residual_decrease(
                 np.where(used_before[:, None], residual_after, 0.0),
             )
         stds = [before.relative_std(index, blocks) for blocks in series.part_slices()]
-        total += residual_cost(series, pair[0], noise, stds)
-        total -= residual_cost(series, pair[1], noise, stds)
+        used = used_before & used_after
+        total += residual_cost(series, pair[0], used, noise, stds)
+        total -= residual_cost(series, pair[1], used, noise, stds)
     return total
 
 
 def residual_cost(
     series: Series,
     residual: FloatArray,
+    used: BoolArray,
     noise: NoiseModel,
     relative_stds: Sequence[RelativeStd | None],
 ) -> float:
@@ -70,7 +73,8 @@ def residual_cost(
 
     Args:
         series: the series.
-        residual: shape (n, 3).
+        residual: zero where unused, shape (n, 3).
+        used: which rows are used, (n,).
         noise: at rest.
         relative_stds: of each part's noise.
     """
@@ -78,7 +82,9 @@ def residual_cost(
     constants: list[FloatArray] = []
     total = 0.0
     for blocks, relative_std in zip(parts, relative_stds, strict=True):
-        spectrum = orthonormal_dct(np.ascontiguousarray(residual[blocks].T))
+        signals = np.ascontiguousarray(residual[blocks].T)
+        fill = gap_fill(used[blocks], noise)
+        spectrum = orthonormal_dct(signals if fill is None else fill.fill(signals))
         variance = noise.dct_variance(spectrum.shape[1]).T
         first = 0 if len(parts) == 1 else 1
         if relative_std is None:

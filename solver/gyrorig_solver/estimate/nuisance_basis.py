@@ -16,6 +16,7 @@ from gyrorig_solver.estimate.cascade import fitted_derivatives
 from gyrorig_solver.estimate.converged_fit import ConvergedFit
 from gyrorig_solver.estimate.executed_motion import law_columns, replace_law_derivatives
 from gyrorig_solver.estimate.fitted_term import FittedTerm
+from gyrorig_solver.estimate.linear.gap_fill import gap_fill
 from gyrorig_solver.estimate.linear.whitening import PartModel
 from gyrorig_solver.estimate.parameter_layout import ParameterLayout
 from gyrorig_solver.estimate.series_segment import SeriesSegment
@@ -188,7 +189,8 @@ def _local_derivatives(
         if packed.count:
             std = np.sqrt(segment.noise.dct_variance(n))
             signals = idct(
-                model.packed_spectra_at(gain) / std.T[:, None, :],
+                model.packed_spectra_at(gain, gap_fill(model.used, segment.noise))
+                / std.T[:, None, :],
                 axis=-1,
                 norm="ortho",
             )

@@ -30,6 +30,7 @@ from gyrorig_solver.estimate.executed_motion import law_columns
 from gyrorig_solver.estimate.fit_segments import build_segments, remaining_terms
 from gyrorig_solver.estimate.fitted_term import FittedTerm
 from gyrorig_solver.estimate.law_effects import LawEffects, LawScale, unit_references
+from gyrorig_solver.estimate.linear.gap_fill import gap_fill
 from gyrorig_solver.estimate.linear.whitening import PartModel
 from gyrorig_solver.estimate.noise.noise_model import NoiseModel
 from gyrorig_solver.estimate.nuisance_basis import NuisancePrior, nuisance_basis
@@ -295,8 +296,12 @@ class NuisanceProjector(NuisanceSpace):
             spectrum = dct(white, axis=-1, norm="ortho")
             if model.relative_std is not None:
                 spectrum = model.relative_std.divide_spectra(spectrum)
-            signal = idct(spectrum / std, axis=-1, norm="ortho").T
-            signals.append(np.where(model.used[:, None], signal, 0.0))
+            weighted = idct(spectrum / std, axis=-1, norm="ortho")
+            fill = gap_fill(model.used, segment.noise)
+            if fill is None:
+                signals.append(np.where(model.used[:, None], weighted.T, 0.0))
+            else:
+                signals.append(fill.adjoint(weighted).T)
         return signals
 
     def whiten(self, signals: Sequence[Sequence[Signals]]) -> WhitenedSignals:

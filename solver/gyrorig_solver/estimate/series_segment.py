@@ -11,6 +11,7 @@ import numpy as np
 from scipy.fft import dct, idct
 
 from gyrorig_solver.data import BoolArray, FloatArray, IntArray, RealArray
+from gyrorig_solver.estimate.linear.gap_fill import GapFill, gap_fill
 from gyrorig_solver.estimate.linear.whitening import PartModel
 from gyrorig_solver.estimate.noise.noise_model import NoiseModel, dct_frequencies_hz
 from gyrorig_solver.estimate.noise.relative_std import mean_white_power
@@ -73,6 +74,11 @@ class SeriesSegment:
         return tuple(np.flatnonzero(~used) for used in self.used)
 
     @cached_property
+    def gap_fills(self) -> tuple[GapFill | None, ...]:
+        """The prediction of the blocks of each part that are not used."""
+        return tuple(gap_fill(used, self.noise) for used in self.used)
+
+    @cached_property
     def _weights(self) -> dict[type, list[RealArray]]:
         """One over the standard deviation of each part's coefficients, (3, n), by precision."""
         variances = [self.noise.dct_variance(used.size).T for used in self.used]
@@ -132,9 +138,13 @@ class SignalWhitener:
         """Add rows (k, n) of each part, each on every axis alone, with one DCT for all axes."""
         for first in range(0, len(parts[0]), ROWS_PER_BATCH):
             spectra = []
-            for part, unused in zip(parts, self._segment.unused, strict=True):
+            for part, unused, fill in zip(
+                parts, self._segment.unused, self._segment.gap_fills, strict=True
+            ):
                 rows = part[first : first + ROWS_PER_BATCH].astype(self._rows[0][0].dtype)
                 rows[:, unused] = 0.0
+                if fill is not None:
+                    rows = fill.fill(rows)
                 spectra.append(dct(rows, axis=-1, norm="ortho", overwrite_x=True))
             for axis in range(3):
                 self._whiten_rows(axis)
@@ -160,6 +170,9 @@ class SignalWhitener:
         batch = slice(self._finished[axis], len(self._index[axis]))
         if batch.start < batch.stop:
             parts = [rows[batch] for rows in self._rows[axis]]
+            for rows, fill in zip(parts, self._segment.gap_fills, strict=True):
+                if fill is not None:
+                    rows[...] = fill.fill(rows)
             spectra = [dct(rows, axis=-1, norm="ortho", overwrite_x=True) for rows in parts]
             self._segment.whiten_spectra(axis, spectra, parts)
             self._finished[axis] = batch.stop

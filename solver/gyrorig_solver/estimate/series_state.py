@@ -67,6 +67,7 @@ class SeriesState:
     used: BoolArray  # (n,)
     effect: FloatArray  # (n, 3), of causes beyond the base model, sensor frame
     timing_sensitive: BoolArray  # (n,), left out since the last large step
+    used_samples: BoolArray  # (n, m), of each block
 
     @classmethod
     def empty(cls, series: Series) -> Self:
@@ -81,6 +82,7 @@ class SeriesState:
             used=np.zeros(n, np.bool_),
             effect=zeros.copy(),
             timing_sensitive=np.zeros(n, np.bool_),
+            used_samples=np.zeros((n, series.samples_per_block), np.bool_),
         )
 
     def copy(self) -> Self:
@@ -93,6 +95,7 @@ class SeriesState:
             used=self.used.copy(),
             effect=self.effect.copy(),
             timing_sensitive=self.timing_sensitive.copy(),
+            used_samples=self.used_samples.copy(),
         )
 
     @property
@@ -139,6 +142,7 @@ class SeriesState:
             self.rate[blocks] = np.where(known[:, None], rate, 0.0)
             self.measured[blocks] = series.block_means(series.rate_rad_s(samples), used)
             self.used[blocks] = series.used_blocks(used)
+            self.used_samples[blocks] = used.reshape(-1, series.samples_per_block)
 
     def set_block_means(self, blocks: slice, part: PredictedPart, keep_left_out: bool) -> None:
         """Set the block means of a part without its outliers.
@@ -153,11 +157,13 @@ class SeriesState:
             left_out |= part.timing_sensitive
         if part.effect is not None:
             self.effect[blocks] = part.effect
-        used = part.usable & self.good[series.samples_of_blocks(blocks)]
+        samples = series.samples_of_blocks(blocks)
+        used = part.usable & self.good[samples]
         used &= ~np.repeat(left_out, series.samples_per_block)
         self.measured[blocks] = series.block_means(part.measured, used)
         self.rate[blocks] = series.block_means(part.rate, used)
         self.used[blocks] = series.used_blocks(used)
+        self.used_samples[blocks] = used.reshape(-1, series.samples_per_block)
 
     def reject_outliers(
         self,

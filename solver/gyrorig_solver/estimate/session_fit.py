@@ -128,6 +128,11 @@ class SessionFit:
         return [series_state.used for series_state in self._series_states]
 
     @property
+    def used_samples(self) -> list[BoolArray]:
+        """Which samples of each block are used, (n, m) per series."""
+        return [series_state.used_samples for series_state in self._series_states]
+
+    @property
     def moving(self) -> list[BoolArray]:
         """Which blocks are in motion, (n,) per series."""
         return [series_state.moving for series_state in self._series_states]
@@ -165,9 +170,10 @@ class SessionFit:
                 [residual[part] for part in series.part_slices()],
                 noise,
                 None if variance is None else np.sqrt(variance),
+                [used[part] for part in series.part_slices()],
             )
-            for series, residual, variance in zip(
-                self.series, self.residuals(gain), self.relative_variances, strict=True
+            for series, residual, variance, used in zip(
+                self.series, self.residuals(gain), self.relative_variances, self.used, strict=True
             )
         ]
 

@@ -3,9 +3,12 @@
 What to use when: `fit_session_noise` at a fit; `session_periodograms` for only the spectrum.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+
+import numpy as np
 
 from gyrorig_solver.data import FloatArray
+from gyrorig_solver.estimate.noise.missing_samples import incomplete_densities
 from gyrorig_solver.estimate.noise.noise_estimation import (
     ResidualSegment,
     noise_periodograms,
@@ -33,24 +36,34 @@ class SessionNoise:
     source: str  # the part of the recording that was used
 
 
-def session_periodograms(session: SessionFit, gain: FloatArray) -> tuple[list[Periodogram], str]:
+def session_periodograms(
+    session: SessionFit, gain: FloatArray, sampling: Sampling | None = None
+) -> tuple[list[Periodogram], str]:
     """Return the residual's periodograms, and a description of the part they use.
 
     Unmodelled motion would look like noise. If there are enough rests, the frequencies that they
     resolve come only from the rests.
+
+    Args:
+        session: the recording.
+        gain: G, shape (3, 3).
+        sampling: of the residual; by default that of the session.
     """
     segments = [
-        ResidualSegment(residual, used, moving, series.part_slices(), relative_variance)
-        for series, residual, used, moving, relative_variance in zip(
+        ResidualSegment(
+            residual, used, moving, series.part_slices(), relative_variance, used_samples
+        )
+        for series, residual, used, moving, relative_variance, used_samples in zip(
             session.series,
             session.residuals(gain),
             session.used,
             session.moving,
             session.relative_variances,
+            session.used_samples,
             strict=True,
         )
     ]
-    return noise_periodograms(segments, session.sampling.rate_hz)
+    return noise_periodograms(segments, sampling or session.sampling)
 
 
 def fit_session_noise(
@@ -67,9 +80,14 @@ def fit_session_noise(
         sampling: of the residual.
         initial_levels: (3, 4), from a previous fit.
     """
-    periodograms, source = session_periodograms(session, gain)
-    spectrum = bin_spectrum(periodograms)
-    noise = fit_noise_levels(spectrum, sampling, initial_levels)
+    periodograms, source = session_periodograms(session, gain, sampling)
+    spectrum = bin_spectrum(periodograms, sampling)
+    incomplete = np.mean(
+        [incomplete_densities(used, sampling) for used in session.used_samples], axis=0
+    )
+    noise = replace(
+        fit_noise_levels(spectrum, sampling, initial_levels), incomplete=np.asarray(incomplete)
+    )
     at_rest = [
         resting_blocks(used, moving, session.sampling.rate_hz)
         for used, moving in zip(session.used, session.moving, strict=True)

@@ -5,7 +5,7 @@ for findings from reference attitudes.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -90,7 +90,8 @@ def series_of_explanation(explained: FitExplanation) -> ReportSeries:
         begin_s = float(segments[-1].time_s[-1]) + GAP_BETWEEN_RECORDINGS_S
     base_spectrum, extended_spectrum = (
         bin_spectrum(
-            [p for session in fit.sessions for p in session_periodograms(session, fit.gain)[0]]
+            [p for session in fit.sessions for p in session_periodograms(session, fit.gain)[0]],
+            fit.sessions[-1].sampling,
         )
         for fit in (base, extended)
     )
@@ -111,7 +112,9 @@ def series_of_explanation(explained: FitExplanation) -> ReportSeries:
         spectrum_extended=_density_at(
             base_spectrum.frequency_hz, extended_spectrum.frequency_hz, extended_spectrum.density
         ),
-        spectrum_model=extended.noises[-1].density(base_spectrum.frequency_hz),
+        spectrum_model=extended.noises[-1].density_of_bins(
+            replace(base_spectrum, white_power=None)
+        ),
     )
 
 

@@ -19,7 +19,6 @@ from gyrorig_solver.estimate import (
     GyroFit,
     NoiseModel,
     Spectrum,
-    unit_densities,
 )
 from gyrorig_solver.pipeline import BoardData, CriticisedFit
 from gyrorig_solver.twin.joint_covariance import session_wander_rad_s
@@ -155,15 +154,14 @@ def _relative_level_stds(noise: NoiseModel, spectrum: Spectrum) -> FloatArray:
         noise: the fitted levels.
         spectrum: the spectrum that they were fitted to.
     """
-    unit_density = unit_densities(spectrum.frequency_hz, noise.sampling)
+    unit_density = spectrum.unit_densities(noise.sampling)
     total = noise.density_of_bins(spectrum)
     stds = np.empty((3, len(STATED_PROCESSES)))
     for axis in range(3):
-        contributions = noise.levels[axis][:, None] * unit_density
+        levels = np.append(noise.levels[axis], noise.floor[axis])
+        contributions = levels[:, None] * unit_density
         if spectrum.white_power is not None:
             contributions[0] *= spectrum.white_power[:, axis]
-        floor = np.full(spectrum.frequency_hz.size, noise.floor[axis])
-        contributions = np.vstack([contributions, floor])
         shares = contributions / total[:, axis]
         active = np.flatnonzero(shares.max(axis=1) > 0.0)
         information = 0.5 * (shares[active] * spectrum.count) @ shares[active].T

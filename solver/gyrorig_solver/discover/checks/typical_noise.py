@@ -29,7 +29,6 @@ from gyrorig_solver.estimate import (
     NuisanceProjector,
     Spectrum,
     nominal_levels,
-    unit_densities,
 )
 from gyrorig_solver.model import XYZ
 from gyrorig_solver.numerics import chi2_upper_tail
@@ -88,7 +87,7 @@ def whittle_log_evidence(solution: ConvergedFit, typical: bool = False) -> float
     fits = list(zip(solution.spectra, noises, strict=True))
     total = _whittle(fits)
     for spectrum, noise in fits:
-        shape = unit_densities(spectrum.frequency_hz, noise.sampling)[1:3]
+        shape = spectrum.unit_densities(noise.sampling)[1:3]
         level_shares = (
             noise.levels[:, 1:3, None] * shape / noise.density_of_bins(spectrum).T[:, None]
         )

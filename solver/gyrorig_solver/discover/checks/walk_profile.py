@@ -20,7 +20,6 @@ from gyrorig_solver.estimate import (
     NoiseModel,
     Spectrum,
     nominal_levels,
-    unit_densities,
 )
 
 FLICKER, WALK = 1, 2  # indices of the levels of a noise model
@@ -120,12 +119,12 @@ class _LevelGrid:
         """Return the grid of an axis; its other levels are those of the fit."""
         typical = nominal_levels(float(noise.levels[axis, 0]))
         shifts = np.linspace(-MAX_LOG_LEVEL_SHIFT, MAX_LOG_LEVEL_SHIFT, LEVEL_GRID_POINTS)
-        shape = unit_densities(spectrum.frequency_hz, noise.sampling)
+        shape = spectrum.unit_densities(noise.sampling).copy()
         if spectrum.white_power is not None:
             shape[0] *= spectrum.white_power[:, axis]
-        other_levels = noise.levels[axis].copy()
+        other_levels = np.append(noise.levels[axis], noise.floor_and_rounding[axis])
         other_levels[[FLICKER, WALK]] = 0.0
-        other_density = other_levels @ shape + noise.flat_density[axis]
+        other_density = other_levels @ shape
         log_walk = np.log(typical[WALK]) + shifts
         log_flicker = np.log(typical[FLICKER]) + shifts[::FLICKER_GRID_STEP]
         walk_density = np.exp(log_walk)[:, None] * shape[WALK]

@@ -18,6 +18,7 @@ from scipy.fft import idct
 
 from gyrorig_solver.data import BoolArray, FloatArray, IntArray
 from gyrorig_solver.estimate.cascade import PassThrough
+from gyrorig_solver.estimate.linear.gap_fill import GapFill, gap_fill
 from gyrorig_solver.estimate.linear.packed_columns import PackedColumns
 from gyrorig_solver.estimate.noise.noise_model import NoiseModel
 from gyrorig_solver.estimate.noise.relative_std import RelativeStd, orthonormal_dct
@@ -36,18 +37,28 @@ class PartModel:
     columns: PartDerivatives
     pass_through: PassThrough | None = None  # of clipping causes
     relative_std: RelativeStd | None = None  # of the noise; None: the same at all times
-    _cache: dict[str, FloatArray] = field(default_factory=dict)
+    _cache: dict[str, tuple[GapFill | None, FloatArray]] = field(default_factory=dict)
 
-    def derivative_spectra(self) -> FloatArray:
-        """Return the DCT of the global derivatives, (7 + 3 g' + 3 k, n); cached."""
-        if "everywhere" not in self._cache:
-            used = self.used.astype(np.float64)
-            rows = [self.rate.T, np.ones((1, used.size)), -self.columns.time_derivative]
+    def derivative_spectra(self, fill: GapFill | None = None) -> FloatArray:
+        """Return the DCT of the global derivatives, (7 + 3 g' + 3 k, n); cached.
+
+        Args:
+            fill: of the missing rows; None: they are zero.
+        """
+        if not self._has_cached("everywhere", fill):
+            rows = [self.rate.T, np.ones((1, self.used.size)), -self.columns.time_derivative]
             rows += list(self.columns.shared)
             rows += [column.T for column in self.cause_derivatives]
-            stacked = np.concatenate(rows) * used
-            self._cache["everywhere"] = orthonormal_dct(stacked)
-        return self._cache["everywhere"]
+            self._cache["everywhere"] = fill, self.spectra_of(np.concatenate(rows), fill)
+        return self._cache["everywhere"][1]
+
+    def _has_cached(self, name: str, fill: GapFill | None) -> bool:
+        return name in self._cache and self._cache[name][0] is fill
+
+    def spectra_of(self, signals: FloatArray, fill: GapFill | None) -> FloatArray:
+        """Return the DCT of signals (..., n) with their missing rows filled."""
+        masked = signals * self.used.astype(np.float64)
+        return orthonormal_dct(masked if fill is None else fill.fill(masked))
 
     def base_derivatives(self, gain: FloatArray) -> FloatArray:
         """Return the derivatives by G, b and tau, sensor frame, (13, n, 3).
@@ -78,23 +89,24 @@ class PartModel:
             else derivatives * self.pass_through.before_threshold
         )
 
-    def packed_spectra_at(self, gain: FloatArray) -> FloatArray:
-        """Return the DCT of the packed rows, sensor frame, zero where unused, (3, rows, n)."""
-        if self.pass_through is None:
-            return np.tensordot(gain, self.packed_spectra(), axes=1)
-        signals = np.tensordot(gain, self.columns.packed.values.transpose(1, 0, 2), axes=1)
-        return orthonormal_dct(
-            signals * (self.pass_through.before_threshold.T * self.used)[:, None, :]
-        )
+    def packed_spectra_at(self, gain: FloatArray, fill: GapFill | None = None) -> FloatArray:
+        """Return the DCT of the packed rows, sensor frame, (3, rows, n).
 
-    def packed_spectra(self) -> FloatArray:
-        """Return the DCT of the packed rows, zero where unused, (3, rows, n); cached."""
-        if "packed" not in self._cache:
-            used = self.used.astype(np.float64)
-            self._cache["packed"] = orthonormal_dct(
-                self.columns.packed.values.transpose(1, 0, 2) * used
-            )
-        return self._cache["packed"]
+        Args:
+            gain: G, shape (3, 3).
+            fill: of the missing rows; None: they are zero.
+        """
+        if self.pass_through is None:
+            return np.tensordot(gain, self.packed_spectra(fill), axes=1)
+        signals = np.tensordot(gain, self.columns.packed.values.transpose(1, 0, 2), axes=1)
+        return self.spectra_of(signals * self.pass_through.before_threshold.T[:, None, :], fill)
+
+    def packed_spectra(self, fill: GapFill | None = None) -> FloatArray:
+        """Return the DCT of the packed rows, stage frame, (3, rows, n); cached."""
+        if not self._has_cached("packed", fill):
+            signals = self.columns.packed.values.transpose(1, 0, 2)
+            self._cache["packed"] = fill, self.spectra_of(signals, fill)
+        return self._cache["packed"][1]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -110,6 +122,7 @@ class WhitenedPart:
     packed_signals: FloatArray  # (3, rows, n)
     std: FloatArray  # (n, 3), of each coefficient
     relative_std: RelativeStd | None = None
+    gap_fill: GapFill | None = None  # of the missing rows; None: they are zero
 
     @classmethod
     def of(cls, part: PartModel, gain: FloatArray, noise: NoiseModel) -> Self:
@@ -122,7 +135,8 @@ class WhitenedPart:
         """
         n = part.used.size
         std = np.sqrt(noise.dct_variance(n))
-        spectra, packed = part.derivative_spectra(), part.columns.packed
+        fill = gap_fill(part.used, noise)
+        spectra, packed = part.derivative_spectra(fill), part.columns.packed
         shared_count = part.columns.shared.shape[0]
         columns = np.stack(
             [
@@ -130,18 +144,19 @@ class WhitenedPart:
                 for axis in range(3)
             ]
             if part.pass_through is None
-            else [_clipped_axis_columns(part, gain, axis) / std[:, axis] for axis in range(3)]
+            else [_clipped_axis_columns(part, gain, axis, fill) / std[:, axis] for axis in range(3)]
         )
         packed_signals = np.zeros((3, packed.values.shape[0], n))
         if packed.count:
             packed_signals = idct(
-                part.packed_spectra_at(gain) / std.T[:, None, :], axis=-1, norm="ortho"
+                part.packed_spectra_at(gain, fill) / std.T[:, None, :], axis=-1, norm="ortho"
             )
         relative_std = part.relative_std
         if relative_std is not None:
             columns = np.stack([relative_std.divide_spectra(columns[k], k) for k in range(3)])
             packed_signals = packed_signals / relative_std.values[:, None]
-        return cls(columns, packed, np.asarray(packed_signals, dtype=np.float64), std, relative_std)
+        packed_signals = np.asarray(packed_signals, dtype=np.float64)
+        return cls(columns, packed, packed_signals, std, relative_std, fill)
 
     def parameter_index(self, axis: int) -> IntArray:
         """Return the parameters of an axis' columns."""
@@ -154,8 +169,11 @@ class WhitenedPart:
         return int(self.columns.shape[1]) - 5 + BASE_PARAMETERS
 
     def whiten(self, residual: FloatArray) -> FloatArray:
-        """Return the whitened spectrum of a residual (n, 3), shape (3, n)."""
-        spectrum = orthonormal_dct(np.ascontiguousarray(residual.T)) / self.std.T
+        """Return the whitened spectrum of a residual (n, 3), zero where unused, shape (3, n)."""
+        signals = np.ascontiguousarray(residual.T)
+        if self.gap_fill is not None:
+            signals = self.gap_fill.fill(signals)
+        spectrum = orthonormal_dct(signals) / self.std.T
         return spectrum if self.relative_std is None else self.relative_std.divide_spectra(spectrum)
 
     def local_score(self, white_spectrum: FloatArray) -> FloatArray:
@@ -187,7 +205,9 @@ def _axis_columns(
     return columns
 
 
-def _clipped_axis_columns(part: PartModel, gain: FloatArray, axis: int) -> FloatArray:
+def _clipped_axis_columns(
+    part: PartModel, gain: FloatArray, axis: int, fill: GapFill | None
+) -> FloatArray:
     """Return the same as `_axis_columns`, of the rates that pass the clipping causes."""
     base = part.base_derivatives(gain)[
         [3 * axis, 3 * axis + 1, 3 * axis + 2, 9 + axis, 12], :, axis
@@ -195,24 +215,28 @@ def _clipped_axis_columns(part: PartModel, gain: FloatArray, axis: int) -> Float
     rows = np.concatenate(
         [base, part.cause_derivatives[:, :, axis], part.shared_derivatives(gain)[:, :, axis]]
     )
-    return orthonormal_dct(rows * part.used)
+    return part.spectra_of(rows, fill)
 
 
 def whiten_residual(
     residuals: Sequence[FloatArray],
     noise: NoiseModel,
     relative_std: FloatArray | None = None,
+    used: Sequence[BoolArray] | None = None,
 ) -> FloatArray:
     """Return a series' residual in units of its standard deviation, white, shape (n, 3).
 
     Args:
-        residuals: of its parts, shape (n_p, 3) each.
+        residuals: of its parts, zero where unused, shape (n_p, 3) each.
         noise: its density.
         relative_std: of the noise, shape (n, 3); None if it is the same at all times.
+        used: which rows of each part are used; None: all.
     """
     whitened_parts = []
-    for residual in residuals:
-        spectrum = orthonormal_dct(residual.T) / np.sqrt(noise.dct_variance(residual.shape[0]).T)
+    for k, residual in enumerate(residuals):
+        fill = None if used is None else gap_fill(used[k], noise)
+        signals = residual.T if fill is None else fill.fill(residual.T)
+        spectrum = orthonormal_dct(signals) / np.sqrt(noise.dct_variance(residual.shape[0]).T)
         whitened_parts.append(idct(spectrum, axis=-1, norm="ortho").T)
     whitened = np.concatenate(whitened_parts)
     return np.asarray(whitened if relative_std is None else whitened / relative_std, np.float64)

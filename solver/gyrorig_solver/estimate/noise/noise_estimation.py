@@ -5,12 +5,13 @@ resolve come from the rests only.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from gyrorig_solver.data import BoolArray, FloatArray
-from gyrorig_solver.estimate.noise.noise_model import Periodogram
+from gyrorig_solver.estimate.noise.missing_samples import expected_densities
+from gyrorig_solver.estimate.noise.noise_model import Periodogram, Sampling
 from gyrorig_solver.estimate.series import PART_BLOCKS, fast_dct_length
 
 MIN_SPECTRUM_BLOCKS = 256  # blocks
@@ -31,6 +32,7 @@ class ResidualSegment:
     moving: BoolArray  # (n,)
     parts: list[slice]
     relative_variance: FloatArray | None = None  # (n, 3), of the white noise; None: 1
+    used_samples: BoolArray | None = None  # (n, m), of each block; None: all of the used blocks
 
     def white_power(self, blocks: slice) -> FloatArray | None:
         """Return the mean white noise of the used blocks relative to that at rest, shape (3,)."""
@@ -39,37 +41,48 @@ class ResidualSegment:
             return None
         return np.asarray(self.relative_variance[blocks][used].mean(axis=0))
 
+    def periodogram(self, blocks: slice, sampling: Sampling) -> Periodogram:
+        """Return the periodogram of some blocks, without the noise in motion."""
+        used_samples = self.used_samples
+        if used_samples is None:
+            used_samples = self.used[:, None]
+        return Periodogram.of(
+            self.residual[blocks],
+            sampling.rate_hz,
+            float(np.mean(self.used[blocks])),
+            unit_density=expected_densities(used_samples[blocks], sampling),
+        )
+
 
 def noise_periodograms(
-    segments: Sequence[ResidualSegment], rate_hz: float
+    segments: Sequence[ResidualSegment], sampling: Sampling
 ) -> tuple[list[Periodogram], str]:
     """Return the residual's periodograms, and a description of the part of the recording used.
 
     Args:
         segments: of one recording.
-        rate_hz: of the block means.
+        sampling: of the block means.
     """
+    rate_hz = sampling.rate_hz
     whole_periodograms = [
-        Periodogram.of(
-            segment.residual[blocks],
-            rate_hz,
-            float(np.mean(segment.used)),
-            segment.white_power(blocks),
-        )
+        replace(segment.periodogram(blocks, sampling), white_power=segment.white_power(blocks))
         for segment in segments
         for blocks in segment.parts
+        if segment.used[blocks].any()
     ]
     shortest = max(MIN_SPECTRUM_BLOCKS, round(MIN_REST_S * rate_hz))
     rests = [
-        segment.residual[run]
+        (segment, run)
         for segment in segments
         for run in _runs(resting_blocks(segment.used, segment.moving, rate_hz), shortest)
     ]
-    rest_s = sum(rest.shape[0] for rest in rests) / rate_hz
+    rest_s = sum(run.stop - run.start for _, run in rests) / rate_hz
     if rest_s < MIN_TOTAL_REST_S or not any(segment.moving.any() for segment in segments):
         return whole_periodograms, "spectrum of the residual, whole recording"
     split_hz = MIN_PERIODS * rate_hz / shortest
-    rest_periodograms = [Periodogram.of(rest, rate_hz).band(split_hz, np.inf) for rest in rests]
+    rest_periodograms = [
+        segment.periodogram(run, sampling).band(split_hz, np.inf) for segment, run in rests
+    ]
     low_periodograms = [piece.band(0.0, split_hz) for piece in whole_periodograms]
     description = (
         f"spectrum: {rest_s:.0f} s of rests above {split_hz:.1f} Hz, whole recording below"

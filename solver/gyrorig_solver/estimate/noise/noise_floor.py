@@ -22,7 +22,6 @@ from gyrorig_solver.estimate.noise.noise_model import (
     Spectrum,
     fit_axis_levels,
     quantum_density,
-    unit_densities,
 )
 from gyrorig_solver.estimate.noise.rest_noise import MIN_PAIRS, RestDifferences
 
@@ -72,17 +71,18 @@ def _is_contradicted(noise: NoiseModel, differences: RestDifferences) -> bool:
 
 def _fit_with_floor(noise: NoiseModel, spectrum: Spectrum, axis: int) -> NoiseModel:
     """Return the noise with the levels and the floor of one axis fitted together."""
-    unit_density = unit_densities(spectrum.frequency_hz, noise.sampling)
+    *white_and_slow, flat = spectrum.unit_densities(noise.sampling)
+    unit_density = np.array(white_and_slow)
     if spectrum.white_power is not None:
         unit_density[0] *= spectrum.white_power[:, axis]
     active = np.flatnonzero(noise.levels[axis] > 0.0)
     start = np.append(noise.levels[axis, active], NOMINAL_SHARE * noise.levels[axis, 0])
-    processes = np.vstack([unit_density[active], np.ones_like(spectrum.frequency_hz)])
+    processes = np.vstack([unit_density[active], flat])
     fitted = fit_axis_levels(
         spectrum.density[:, axis],
         spectrum.count,
         processes,
-        quantum_density(noise.sampling),
+        quantum_density(noise.sampling) * flat,
         start,
         start,
     )

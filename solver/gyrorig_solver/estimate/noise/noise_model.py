@@ -15,7 +15,7 @@ diagonal, so weighting by 1/variance whitens it.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 
 import numpy as np
@@ -96,11 +96,31 @@ class NoiseModel:
     levels: FloatArray  # (3, 4), squares: N^2, B^2, K^2, D^2
     sampling: Sampling
     floor: FloatArray = field(default_factory=lambda: np.zeros(3))  # (3,), F
+    # (5,), density that blocks with missing samples add by N, B, K, D and F + q at unit level
+    incomplete: FloatArray = field(default_factory=lambda: np.zeros(5))
 
     @property
     def flat_density(self) -> FloatArray:
-        """The density that is equal at all frequencies, F + q, shape (3,)."""
+        """The density that is equal at all frequencies, shape (3,).
+
+        It is F + q, and what blocks with missing samples add.
+        """
+        added = np.column_stack([self.levels, self.floor_and_rounding]) @ self.incomplete
+        return np.asarray(self.floor_and_rounding + added, dtype=np.float64)
+
+    @property
+    def floor_and_rounding(self) -> FloatArray:
+        """F + q, shape (3,)."""
         return self.floor + quantum_density(self.sampling)
+
+    def with_flat_density(self, density: FloatArray) -> "NoiseModel":
+        """Return the noise with another density that is equal at all frequencies, shape (3,)."""
+        return replace(
+            self,
+            sampling=replace(self.sampling, quantum_rad_s=0.0),
+            floor=density,
+            incomplete=np.zeros(5),
+        )
 
     def density(self, frequency_hz: FloatArray) -> FloatArray:
         """Return S(f) per axis, shape (k, 3)."""
@@ -109,7 +129,15 @@ class NoiseModel:
 
     def density_of_bins(self, spectrum: "Spectrum") -> FloatArray:
         """Return the expected density in a spectrum's bins, shape (k, 3)."""
-        return self.density_with(spectrum.frequency_hz, spectrum.white_power)
+        if spectrum.unit_density is None:
+            return self.density_with(spectrum.frequency_hz, spectrum.white_power)
+        unit_density = spectrum.unit_densities(self.sampling)
+        levels = np.column_stack([self.levels, self.floor_and_rounding])
+        density = unit_density.T @ levels.T
+        if spectrum.white_power is not None:
+            white = unit_density[0][:, None] * self.levels[:, 0]
+            density += white * (spectrum.white_power - 1.0)
+        return np.asarray(density, dtype=np.float64)
 
     def density_with(self, frequency_hz: FloatArray, white_power: FloatArray | None) -> FloatArray:
         """Return S(f) per axis with more white noise than at rest, shape (k, 3).
@@ -152,6 +180,16 @@ class Spectrum:
     density: FloatArray  # (k, 3)
     count: FloatArray  # (k,), coefficients in each bin
     white_power: FloatArray | None = None  # (k, 3), white noise relative to that at rest; None: 1
+    # (5, k), expected for each process at unit level and for equal noise at all frequencies; None:
+    # no sample is missing
+    unit_density: FloatArray | None = None
+
+    def unit_densities(self, sampling: Sampling) -> FloatArray:
+        """Return the density of N, B, K, D and of equal noise at all frequencies, (5, k)."""
+        if self.unit_density is not None:
+            return self.unit_density
+        ones = np.ones_like(self.frequency_hz)
+        return np.vstack([unit_densities(self.frequency_hz, sampling), ones])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -161,6 +199,7 @@ class Periodogram:
     frequency_hz: FloatArray  # (m,)
     density: FloatArray  # (m, 3), one-sided
     white_power: FloatArray | None = None  # (3,), white noise relative to that at rest; None: 1
+    unit_density: FloatArray | None = None  # (5, m), see `Spectrum`; None: no sample is missing
 
     @classmethod
     def of(
@@ -169,6 +208,7 @@ class Periodogram:
         rate_hz: float,
         used_share: float = 1.0,
         white_power: FloatArray | None = None,
+        unit_density: FloatArray | None = None,
     ) -> "Periodogram":
         """Return the power of a uniform residual (n, 3), without its constant.
 
@@ -177,6 +217,7 @@ class Periodogram:
             rate_hz: of the residual.
             used_share: of the blocks; the power is scaled up for the missing blocks.
             white_power: mean white noise of the blocks relative to that at rest, shape (3,).
+            unit_density: of `expected_densities`, shape (5, n - 1); None: no sample is missing.
         """
         n = residual.shape[0]
         spectrum = dct(residual, axis=0, norm="ortho")[1:]
@@ -184,16 +225,32 @@ class Periodogram:
             dct_frequencies_hz(n, rate_hz)[1:],
             spectrum**2 * (2.0 / rate_hz / max(used_share, 1e-3)),
             white_power,
+            unit_density,
         )
+
+    @property
+    def size(self) -> int:
+        """The number of frequencies."""
+        return int(self.frequency_hz.size)
 
     def band(self, low_hz: float, high_hz: float) -> "Periodogram":
         """Return the part with low <= f < high."""
         inside = (self.frequency_hz >= low_hz) & (self.frequency_hz < high_hz)
-        return Periodogram(self.frequency_hz[inside], self.density[inside], self.white_power)
+        return Periodogram(
+            self.frequency_hz[inside],
+            self.density[inside],
+            self.white_power,
+            None if self.unit_density is None else self.unit_density[:, inside],
+        )
 
 
-def bin_spectrum(pieces: Sequence[Periodogram]) -> Spectrum:
-    """Return the residual's density over all segments, in at most `SPECTRUM_BINS` bins."""
+def bin_spectrum(pieces: Sequence[Periodogram], sampling: Sampling | None = None) -> Spectrum:
+    """Return the residual's density over all segments, in at most `SPECTRUM_BINS` bins.
+
+    Args:
+        pieces: of all segments.
+        sampling: of the residual; None: no sample is missing.
+    """
     f = np.concatenate([piece.frequency_hz for piece in pieces])
     power = np.concatenate([piece.density for piece in pieces])
     edges = np.geomspace(f.min() * 0.999, f.max() * 1.001, SPECTRUM_BINS + 1)
@@ -203,8 +260,8 @@ def bin_spectrum(pieces: Sequence[Periodogram]) -> Spectrum:
     centre = np.exp(np.bincount(bin_index, np.log(f), SPECTRUM_BINS)[occupied] / count[occupied])
 
     def bin_means(values: FloatArray) -> FloatArray:
-        sums = [np.bincount(bin_index, values[:, i], SPECTRUM_BINS)[occupied] for i in range(3)]
-        return np.stack([axis_sums / count[occupied] for axis_sums in sums], axis=1)
+        sums = [np.bincount(bin_index, column, SPECTRUM_BINS)[occupied] for column in values.T]
+        return np.stack([column_sums / count[occupied] for column_sums in sums], axis=1)
 
     white_power = None
     if any(piece.white_power is not None for piece in pieces):
@@ -220,7 +277,20 @@ def bin_spectrum(pieces: Sequence[Periodogram]) -> Spectrum:
                 ]
             )
         )
-    return Spectrum(centre, bin_means(power), count[occupied], white_power)
+    unit_density = None
+    if sampling is not None and any(piece.unit_density is not None for piece in pieces):
+        unit_density = bin_means(
+            np.concatenate(
+                [
+                    np.vstack([unit_densities(piece.frequency_hz, sampling), np.ones(piece.size)])
+                    if piece.unit_density is None
+                    else piece.unit_density
+                    for piece in pieces
+                ],
+                axis=1,
+            ).T
+        ).T
+    return Spectrum(centre, bin_means(power), count[occupied], white_power, unit_density)
 
 
 def fit_noise_levels(
@@ -236,7 +306,8 @@ def fit_noise_levels(
         sampling: of the residual.
         initial_levels: (3, 4), from a previous fit.
     """
-    unit_density = unit_densities(spectrum.frequency_hz, sampling)
+    *processes, flat = spectrum.unit_densities(sampling)
+    unit_density = np.array(processes)
     quantum = quantum_density(sampling)
     active = np.flatnonzero(unit_density.max(axis=1) > 0.0)
     levels = np.zeros((3, 4))
@@ -258,7 +329,7 @@ def fit_noise_levels(
             power,
             spectrum.count,
             axis_unit_density[active],
-            quantum,
+            quantum * flat,
             nominal[active],
             start[active],
         )
@@ -282,7 +353,7 @@ def fit_axis_levels(
     power: FloatArray,
     count: FloatArray,
     unit_density: FloatArray,
-    quantum: float,
+    quantum: FloatArray,
     nominal: FloatArray,
     start: FloatArray,
 ) -> FloatArray:
@@ -292,7 +363,7 @@ def fit_axis_levels(
         power: density in each bin, shape (k,).
         count: coefficients in each bin, shape (k,).
         unit_density: of the active processes, shape (a, k).
-        quantum: density of the quantisation error.
+        quantum: density of the quantisation error in each bin, shape (k,).
         nominal: centre of the priors, shape (a,).
         start: initial levels, shape (a,).
     """

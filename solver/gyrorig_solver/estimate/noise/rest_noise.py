@@ -83,9 +83,11 @@ def limit_to_rest(noise: NoiseModel, differences: RestDifferences) -> NoiseModel
         return noise
     nominal = nominal_levels(1.0)
     nominal[3] = 0.0  # only for attitudes
-    quantum_power = quantum_density(noise.sampling) * noise.sampling.rate_hz
-    flat_power = quantum_power + noise.floor * noise.sampling.rate_hz
-    unit_power = float(nominal @ _unit_difference_power(noise.sampling))
+    rate_hz = noise.sampling.rate_hz
+    quantum_power = quantum_density(noise.sampling) * rate_hz
+    flat_power = noise.floor_and_rounding * rate_hz * (1.0 + noise.incomplete[4])
+    unit_powers = _unit_difference_power(noise.sampling) + rate_hz * noise.incomplete[:4]
+    unit_power = float(nominal @ unit_powers)
     white_at_rest = np.maximum(differences.power - flat_power, quantum_power) / unit_power
     log_ratio = np.log(np.maximum(noise.levels[:, 0], 1e-300) / white_at_rest)
     contradicts = np.abs(log_ratio) > np.log(MAX_POWER_RATIO)
