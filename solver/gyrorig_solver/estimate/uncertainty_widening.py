@@ -1,10 +1,11 @@
 """Standard uncertainties widened by the reduced chi-square in motion.
 
 If the whitened residual in motion is larger than noise explains, the model is incomplete, and the
-uncertainties from noise alone are too small. The covariance is then multiplied by the reduced
-chi-square (Birge ratio). Of several recordings, the largest chi-square counts, because a parameter
-can come from this recording alone. The uncertainty of a common time shift has another origin and is
-not changed.
+uncertainties from noise alone are too small. The covariance is then multiplied by the reduced chi-
+square (Birge ratio). Of several recordings, the largest chi-square counts, because a parameter can
+come from this recording alone. For the same reason, each sensor axis counts alone if its excess is
+significant: two good axes would hide two thirds of the excess of a bad one. The uncertainty of a
+common time shift has another origin and is not changed.
 
 Source: R. T. Birge, The Calculation of Errors by the Method of Least Squares, Phys. Rev. 40 (1932).
 """
@@ -14,7 +15,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gyrorig_solver.data import BoolArray, FloatArray
+from gyrorig_solver.data import BoolArray, FloatArray, IntArray
 from gyrorig_solver.estimate.converged_fit import ConvergedFit
 from gyrorig_solver.estimate.observability import ObservabilityAnalysis
 from gyrorig_solver.estimate.session_fit import SessionFit
@@ -22,7 +23,8 @@ from gyrorig_solver.numerics import normal_quantile
 
 FALSE_ALARM = 1e-4  # probability of widening without an excess
 MIN_EXCESS = 0.05  # a smaller excess changes a standard uncertainty by 2 %
-MIN_VALUES = 100
+MIN_VALUES = 300  # of all axes together or of one axis, at rest and in motion
+AXES = 3
 TIME_OFFSET = 12
 
 
@@ -34,24 +36,36 @@ def reduced_chi2(solution: ConvergedFit) -> float:
 def largest_reduced_chi2(solution: ConvergedFit) -> tuple[float, int | None]:
     """Return the largest reduced chi-square, and the index of its recording, None for all.
 
-    Each of several recordings also counts alone if it has enough samples at rest and in motion.
+    Each of several recordings also counts alone if it has enough samples at rest and in motion, and
+    each sensor axis if its excess is significant.
     """
     powers = _whitened_power(solution)
-    candidates: list[tuple[float, int | None]] = [(_join(powers).reduced_chi2(), None)]
+    joined = _join(powers)
+    candidates: list[tuple[float, int | None]] = [(joined.reduced_chi2(), None)]
+    groups: list[tuple[_WhitenedPower, int | None]] = [(joined, None)]
     if len(powers) > 1:
         candidates += [(p.reduced_chi2(), k) for k, p in enumerate(powers) if p.is_sufficient]
+        groups += [(power, k) for k, power in enumerate(powers)]
+    false_alarm = FALSE_ALARM / (AXES * len(groups))
+    candidates += [
+        (axis.reduced_chi2(), k)
+        for power, k in groups
+        for axis in power.axes
+        if axis.is_sufficient and axis.is_excess(axis.reduced_chi2(), false_alarm)
+    ]
     return max(candidates, key=lambda candidate: candidate[0])
 
 
 def widen_uncertainty(solution: ConvergedFit) -> tuple[ConvergedFit, float]:
     """Return the fit with its covariance multiplied by the chi-square in motion, and the factor.
 
-    The factor is 1 unless the mean squared whitened residual in motion of a recording, or of all
-    together, is significantly above 1.
+    The factor is 1 unless the mean squared whitened residual in motion of a recording, of all
+    together, or of a sensor axis of them, is significantly above 1.
     """
     powers = _whitened_power(solution)
     if len(powers) > 1:
         powers.append(_join(powers))
+    powers += [axis for power in powers for axis in power.axes]
     factor = max(power.significant_factor(FALSE_ALARM / len(powers)) for power in powers)
     if factor == 1.0:
         return solution, 1.0
@@ -86,32 +100,47 @@ def _multiply(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _WhitenedPower:
-    """Squared whitened residuals, summed over the axes."""
+    """Squared whitened residuals of some axes."""
 
-    power: FloatArray  # of each block, (n,)
+    power: FloatArray  # of each block and axis, (n, axes)
     moving: BoolArray  # the used blocks in motion, (n,)
     at_rest: BoolArray  # the used blocks at rest, (n,)
 
     @property
+    def axes(self) -> list["_WhitenedPower"]:
+        """The same of each axis alone."""
+        return [replace(self, power=column[:, None]) for column in self.power.T]
+
+    @property
     def is_sufficient(self) -> bool:
-        """Whether there are enough blocks at rest and in motion to compare them."""
-        return bool(min(self.moving.sum(), self.at_rest.sum()) >= MIN_VALUES)
+        """Whether there are enough values at rest and in motion to compare them."""
+        return bool(self._counts.min() >= MIN_VALUES)
+
+    @property
+    def _counts(self) -> IntArray:
+        """The number of values in motion and at rest, (2,)."""
+        blocks = np.array([self.moving.sum(), self.at_rest.sum()], dtype=np.int64)
+        return np.asarray(self.power.shape[1] * blocks, dtype=np.int64)
 
     def reduced_chi2(self) -> float:
         """Return the variance in motion over that at rest, or over 1 without enough blocks."""
         if not self.is_sufficient:
-            return float(np.mean(self.power[self.moving | self.at_rest]) / 3.0)
+            return float(np.mean(self.power[self.moving | self.at_rest]))
         return float(np.mean(self.power[self.moving]) / np.mean(self.power[self.at_rest]))
 
     def significant_factor(self, false_alarm: float) -> float:
         """Return the variance in motion in units of the noise model's, 1 without an excess."""
         if not self.is_sufficient:
             return 1.0
-        counts = 3.0 * np.array([self.moving.sum(), self.at_rest.sum()])
-        factor = float(np.mean(self.power[self.moving])) / 3.0
-        std = float(np.sqrt(2.0 * np.sum(1.0 / counts)))  # the levels also have an uncertainty
-        is_excess = factor - 1.0 >= max(MIN_EXCESS, normal_quantile(false_alarm) * std)
-        return factor if is_excess else 1.0
+        factor = float(np.mean(self.power[self.moving]))
+        return factor if self.is_excess(factor, false_alarm) else 1.0
+
+    def is_excess(self, ratio: float, false_alarm: float) -> bool:
+        """Return whether a ratio of variances is significantly above 1."""
+        std = float(
+            np.sqrt(2.0 * np.sum(1.0 / self._counts))
+        )  # the levels also have an uncertainty
+        return ratio - 1.0 >= max(MIN_EXCESS, normal_quantile(false_alarm) * std)
 
 
 def _whitened_power(solution: ConvergedFit) -> list[_WhitenedPower]:
@@ -120,7 +149,7 @@ def _whitened_power(solution: ConvergedFit) -> list[_WhitenedPower]:
     for session, noise in zip(solution.sessions, solution.noises, strict=True):
         white = np.concatenate(session.whitened_residuals(solution.gain, noise))
         used, in_motion = np.concatenate(session.used), np.concatenate(session.moving)
-        powers.append(_WhitenedPower(np.sum(white**2, axis=1), used & in_motion, used & ~in_motion))
+        powers.append(_WhitenedPower(white**2, used & in_motion, used & ~in_motion))
     return powers
 
 

@@ -90,6 +90,29 @@ def test_a_short_recording_with_errors_widens_the_uncertainty(simulate: Simulate
     assert any("in recording 2" in reason for reason in joint.limited_reasons)
 
 
+def test_one_bad_axis_widens_as_much_as_its_own_residual_says(simulate: Simulate) -> None:
+    rig = simulate(0)
+    tilt = reference_of(rig).angles_rad(rig.time_s - rig.lag_s)[1]
+    rate = rig.rate_rad_s.copy()
+    rate[:, 0] += 1e-2 * np.sin(3.0 * tilt)
+    solution = solve_motion([(samples_of(rig.time_s, rate), reference_of(rig))])
+    (white,) = solution.whitened_residuals()
+    (session,) = solution.sessions
+    power = np.mean(white[session.used[0] & session.moving[0]] ** 2, axis=0)
+    assert power[0] > 2.0
+    assert np.abs(power[1:] - 1.0).max() < 0.1
+    assert widen_uncertainty(solution)[1] == pytest.approx(power[0])
+    assert largest_reduced_chi2(solution)[0] > reduced_chi2(solution) + 0.1
+
+
+def test_no_axis_of_a_sound_rig_widens(simulate: Simulate) -> None:
+    for seed in range(10):
+        rig = simulate(seed)
+        solution = solve_motion([(samples_of(rig.time_s, rig.rate_rad_s), reference_of(rig))])
+        assert widen_uncertainty(solution)[1] == 1.0, seed
+        assert largest_reduced_chi2(solution)[0] == reduced_chi2(solution), seed
+
+
 def test_static_recording_only_adds_its_own_bias(simulate: Simulate) -> None:
     rig = simulate(22)
     moving = (samples_of(rig.time_s, rig.rate_rad_s), reference_of(rig))
