@@ -212,7 +212,8 @@ def read_attitude(
             "the times of the reference attitude do not increase",
             "sort the source data by time, remove duplicates, and import the data again",
         )
-    length = np.linalg.norm(orientation_xyzw, axis=1)
+    with np.errstate(over="ignore"):  # of a damaged row; its length is infinite
+        length = np.linalg.norm(orientation_xyzw, axis=1)
     is_unit_length = np.abs(length - 1.0) < LENGTH_TOLERANCE
     if not is_unit_length.any():
         raise InputError(

@@ -15,6 +15,8 @@ from gyrorig_protocol.errors import InputError
 from gyrorig_protocol.recording.messages import EventKind, SessionEvent
 from gyrorig_solver.data import FloatArray
 
+# A day at 60 rad/s; the direction of a much larger angle would be lost in rounding.
+MAX_ANGLE_RAD = 1e7
 ABORTED_TEXT = "aborted"  # text at the end of a phase that a fault interrupted
 
 
@@ -85,15 +87,17 @@ def _parse_turn(interval: TimeInterval, text: str) -> KnownTurn:
         turn_document = json.loads(text)
         axis = np.array([float(v) for v in turn_document["axis"]])
         angle, std = float(turn_document["angle_rad"]), float(turn_document["std_rad"])
-    except (ValueError, KeyError, TypeError, RecursionError) as error:
+    except (ValueError, KeyError, TypeError, RecursionError, OverflowError) as error:
         raise InputError(
             f"the turn at {interval.begin_s:.1f} s has the invalid description {text[:60]!r}",
             'write the turn as {"axis": [x, y, z], "angle_rad": a, "std_rad": s}',
         ) from error
     is_unit_axis = axis.shape == (3,) and abs(float(np.linalg.norm(axis)) - 1.0) < 1e-3
-    if not is_unit_axis or not math.isfinite(angle) or not (0.0 < std < math.inf) or angle == 0.0:
+    is_possible = 0.0 < abs(angle) <= MAX_ANGLE_RAD and 0.0 < std < math.inf
+    if not is_unit_axis or not is_possible:
         raise InputError(
             f"the turn at {interval.begin_s:.1f} s has invalid values, {text[:60]!r}",
-            "give an axis of length 1, an angle other than 0, and a standard deviation above 0",
+            f"give an axis of length 1, an angle of at most {MAX_ANGLE_RAD:g} rad other than 0, "
+            "and a standard deviation above 0",
         )
     return KnownTurn(interval, axis / np.linalg.norm(axis), angle, std)
