@@ -147,9 +147,12 @@ def _whitened_power(solution: ConvergedFit) -> list[_WhitenedPower]:
     """Return the whitened power of each recording."""
     powers = []
     for session, noise in zip(solution.sessions, solution.noises, strict=True):
-        white = np.concatenate(session.whitened_residuals(solution.gain, noise))
+        power = np.concatenate(session.whitened_residuals(solution.gain, noise)) ** 2
         used, in_motion = np.concatenate(session.used), np.concatenate(session.moving)
-        powers.append(_WhitenedPower(white**2, used & in_motion, used & ~in_motion))
+        if used.any():
+            # A part of the power of the used blocks is in the blocks that they predict.
+            power *= power.sum(axis=0) / np.maximum(power[used].sum(axis=0), 1e-300)
+        powers.append(_WhitenedPower(power, used & in_motion, used & ~in_motion))
     return powers
 
 

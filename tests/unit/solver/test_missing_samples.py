@@ -17,11 +17,13 @@ from gyrorig_solver.data.samples import GyroSamples
 from gyrorig_solver.estimate import UNIT_REMEDIES, GyroFit, NoiseModel, fit_motion, nominal_levels
 from gyrorig_solver.estimate.linear.gap_fill import gap_fill
 from gyrorig_solver.estimate.linear.whitening import whiten_residual
+from gyrorig_solver.estimate.motion_fit import solve_motion
 from gyrorig_solver.estimate.noise.missing_samples import (
     expected_densities,
     incomplete_densities,
 )
 from gyrorig_solver.estimate.noise.noise_model import Periodogram, Sampling
+from gyrorig_solver.estimate.uncertainty_widening import _whitened_power
 from gyrorig_solver.model import FACTOR_NAMES, factorise
 
 Simulate = Callable[..., Any]
@@ -191,6 +193,19 @@ def test_the_noise_density_is_that_of_complete_samples(
         assert fit.noise.noise_floor is None
     stated = np.mean([fit.noise.angle_random_walk for fit in fits if fit.noise], axis=0)
     assert np.abs(stated / conftest.LEVELS.white - 1.0).max() < MAX_WHITE_ERROR
+
+
+def test_lost_samples_do_not_hide_an_excess(simulate: Simulate) -> None:
+    powers = []
+    for seed in range(4):
+        rig = simulate(seed)
+        samples = samples_of(rig.time_s, rig.rate_rad_s)
+        received = draw_mask(rig.time_s.size, 0.5, 1, seed)
+        solution = solve_motion([(receive(samples, received), reference_of(rig))])
+        (power,) = _whitened_power(solution)
+        powers.append(float(np.mean(power.power[power.moving | power.at_rest])))
+    # The mean of 4 times about 9000 values with variance 2 has a standard deviation of 0.008.
+    assert np.mean(powers) == pytest.approx(1.0, abs=0.03)
 
 
 @pytest.mark.parametrize("losses", [(0.03, 1), (0.3, 1)])
