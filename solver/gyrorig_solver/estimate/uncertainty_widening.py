@@ -17,6 +17,7 @@ import numpy as np
 
 from gyrorig_solver.data import BoolArray, FloatArray, IntArray
 from gyrorig_solver.estimate.converged_fit import ConvergedFit
+from gyrorig_solver.estimate.noise.missing_samples import has_gaps
 from gyrorig_solver.estimate.observability import ObservabilityAnalysis
 from gyrorig_solver.estimate.session_fit import SessionFit
 from gyrorig_solver.numerics import normal_quantile
@@ -149,7 +150,7 @@ def _whitened_power(solution: ConvergedFit) -> list[_WhitenedPower]:
     for session, noise in zip(solution.sessions, solution.noises, strict=True):
         power = np.concatenate(session.whitened_residuals(solution.gain, noise)) ** 2
         used, in_motion = np.concatenate(session.used), np.concatenate(session.moving)
-        if used.any():
+        if has_gaps(used):
             # A part of the power of the used blocks is in the blocks that they predict.
             power *= power.sum(axis=0) / np.maximum(power[used].sum(axis=0), 1e-300)
         powers.append(_WhitenedPower(power, used & in_motion, used & ~in_motion))
