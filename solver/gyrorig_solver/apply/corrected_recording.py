@@ -250,7 +250,7 @@ class _MessageBuilder:
             )
             die_degc += correction.reference_degc
         rates = calibration.correction.rates(
-            samples.counts[rows][good], samples.quantum_rad_s, die_degc, force_m_s2
+            samples.counts[rows][good], samples.gyro.scale, die_degc, force_m_s2
         )
         self.rates_outside += int(np.sum(np.abs(rates).max(axis=1) > self._limit_rad_s))
         if (

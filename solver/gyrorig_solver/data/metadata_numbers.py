@@ -10,6 +10,7 @@ from gyrorig_protocol.errors import InputError
 _DECIMAL_NUMBER = re.compile(r"[+-]?([0-9]+(\.[0-9]*)?|\.[0-9]+)([eE][+-]?[0-9]{1,4})?")
 _LIMITS = {
     "gyro_scale_rad_s": (1e-12, 10.0),
+    "gyro_rounding_rad_s": (1e-12, 10.0),
     "accel_scale_m_s2": (1e-12, 1e3),
     "tick_hz": (0.1, 1e10),
     "counter_bits": (1.0, 64.0),

@@ -64,7 +64,7 @@ class GyroSamples:
     accel_m_s2: PhysicalField[FloatArray | None] = PhysicalField()  # noqa: RUF009
     # (n,), nan if a sample has none
     temperature_degc: PhysicalField[FloatArray | None] = PhysicalField()  # noqa: RUF009
-    quantum_rad_s: float
+    quantum_rad_s: float  # step to which the rates are rounded: a count, or more in an import
     clock: ClockMap  # of the kept samples; its times are `time_s`
     latency_bounds: LatencyBounds | None  # of the link, subtracted from `time_s` if known
     lost: int  # missing by the board's counter
@@ -221,7 +221,7 @@ def load_samples(recording: Recording, board: str) -> GyroSamples:
         usable=good,
         accel_m_s2=accel,
         temperature_degc=_temperature_column(raw, metadata),
-        quantum_rad_s=scale,
+        quantum_rad_s=max(scale, positive_number(metadata, "gyro_rounding_rad_s") or 0.0),
         clock=clock,
         latency_bounds=latency_bounds,
         lost=numbering.lost,

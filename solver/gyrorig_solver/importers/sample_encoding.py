@@ -25,6 +25,7 @@ from gyrorig_solver.importers.measured_streams import (
     MeasuredBoard,
     TemperatureStream,
 )
+from gyrorig_solver.importers.rounding_step import find_rounding_step
 from gyrorig_solver.importers.sample_numbers import SampleNumbers, number_sampled_rows
 
 # Physical units become int32 counts with a scale far below the resolution of any sensor.
@@ -92,6 +93,9 @@ def encode_samples(board: MeasuredBoard, origin_ns: int) -> ImuStream:
             "cannot be recognised, and the sample rate is the mean rate of the rows"
         )
     metadata["gyro_scale_rad_s"] = repr(gyro.scale_rad_s or GYRO_COUNT_RAD_S)
+    step_rad_s = None if gyro.scale_rad_s else find_rounding_step(gyro.values[row])
+    if step_rad_s is not None:
+        metadata["gyro_rounding_rad_s"] = repr(step_rad_s)
     accel = None
     if board.accel:
         accel, valid = _accel_counts(board.accel, origin_ns, times, notes)

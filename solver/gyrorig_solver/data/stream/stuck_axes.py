@@ -137,7 +137,7 @@ def _check_axis(stream: CountStream, axis: int) -> tuple[list[StreamFinding], li
             )
         ]
     if clipped_runs:
-        limit = max(abs(run.value) for run in clipped_runs) * stream.samples.quantum_rad_s
+        limit = max(abs(run.value) for run in clipped_runs) * stream.samples.gyro.scale
         clipped = [
             _clipping_finding(
                 stream,
@@ -186,9 +186,7 @@ def _saturation_status_finding(stream: CountStream) -> StreamFinding | None:
     count = max(0, int(unusable_rows.size) - samples.repeated)
     if not count:
         return None
-    limit = (
-        float(np.abs(samples.counts[unusable_rows].astype(np.int64)).max()) * samples.quantum_rad_s
-    )
+    limit = float(np.abs(samples.counts[unusable_rows].astype(np.int64)).max()) * samples.gyro.scale
     return StreamFinding(
         "saturation", "sensor", (), count, stream.size, 0.0, "limit", limit, "rad/s",
         f"{count} samples are at the end of the sensor's range, {math.degrees(limit):.4g} deg/s",
