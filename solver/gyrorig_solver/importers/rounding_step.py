@@ -37,8 +37,11 @@ def _find_step(rate_rad_s: FloatArray) -> float | None:
     is_repeated = repeats >= MIN_REPEATS
     if rate_rad_s.size < MIN_SAMPLES or 2 * repeats[is_repeated].sum() < rate_rad_s.size:
         return None
-    gaps = np.diff(levels[is_repeated])
-    gaps = gaps[gaps >= MIN_STEP_RAD_S]
-    if gaps.size == 0:
+    levels, repeats = levels[is_repeated], repeats[is_repeated]
+    gaps, weights = np.diff(levels), np.minimum(repeats[1:], repeats[:-1])
+    is_real = gaps >= MIN_STEP_RAD_S
+    if not is_real.any():
         return None
-    return float(gaps[gaps <= MAX_STEP_RATIO * gaps.min()].mean())
+    # A rest has the most samples per level and no missing level.
+    is_near = is_real & (gaps <= MAX_STEP_RATIO * gaps[is_real].min())
+    return float(np.average(gaps[is_near], weights=weights[is_near]))
