@@ -44,12 +44,10 @@ from gyrorig_solver.calibration.temperature_record import (
 from gyrorig_solver.calibration.verdict import judge_fit, profile_warnings
 from gyrorig_solver.data import FloatArray
 from gyrorig_solver.estimate import GyroFit, TemperatureFit
+from gyrorig_solver.estimate.fit_summary import SAME_CLOCK_PPM
 from gyrorig_solver.estimate.gyro_fit import RecordingFit
 from gyrorig_solver.model import PARAMETER_GROUPS, LevelEstimate, factorise
 
-SAME_CLOCK_PPM = (
-    1e-3  # closer rates mean the same clock: rounding to 1e-9 s in 10 s is a tenth of it
-)
 UNKNOWN: Matrix = [[None] * 3] * 3
 _UNITS = {"bias": "rad/s", "scale": "1", "nonorthogonality": "1", "misalignment": "rad"}
 

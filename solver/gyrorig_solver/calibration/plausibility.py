@@ -21,7 +21,7 @@ from gyrorig_solver.calibration.calibration_document import Trust
 from gyrorig_solver.calibration.verdict import Verdict
 from gyrorig_solver.discover import CALIBRATION_PARAMETERS
 from gyrorig_solver.estimate import GyroFit
-from gyrorig_solver.model import format_short, group_of, plural
+from gyrorig_solver.model import DEG_PER_RAD, format_short, group_of, plural
 from gyrorig_solver.uncertainty import OtherEntry, UncertaintyBudget
 
 MAX_SIGMA = 4.0  # prior and data together; above it the value is not plausible
@@ -38,6 +38,12 @@ REMEDY = (
     "turn the board faster and further about all three axes, and check the reference, the axes and "
     "the full scale"
 )
+OTHER_EXPLANATION = f"The motion was too weak, or the reference is wrong. To correct it: {REMEDY}"
+UNIT_RATIOS = {
+    DEG_PER_RAD: "the rates seem to be in deg/s, although the recording states rad/s",
+    1.0 / DEG_PER_RAD: "the rates seem to be in rad/s, although the recording states deg/s",
+}
+UNIT_TOLERANCE = 1.2  # between the ratio of the units and a scale factor
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,11 +101,23 @@ def add_conflicts(
         f"{worst.parameter} is {_shown(worst.parameter, worst.value)}, which is not plausible for "
         f"{part}, {_shown(worst.parameter, worst.nominal)} ± "
         f"{_shown(worst.parameter, worst.prior_std)}: the difference is {worst.sigma:.1f} standard "
-        f"deviations{others}. The motion was too weak, or the reference is wrong. To correct it: "
-        f"{REMEDY}"
+        f"deviations{others}. {_explain_units(conflicts) or OTHER_EXPLANATION}"
     )
     verdict: Verdict = "limited" if trust.verdict == "good" else trust.verdict
     return Trust(verdict=verdict, reasons=[*trust.reasons, reason])
+
+
+def _explain_units(conflicts: Sequence[DataSheetConflict]) -> str:
+    """Return the unit that explains every implausible scale factor, empty without one."""
+    scales = [abs(each.value) for each in conflicts if each.parameter.startswith("scale.")]
+    for ratio, text in UNIT_RATIOS.items():
+        limits = (ratio / UNIT_TOLERANCE, ratio * UNIT_TOLERANCE)
+        if scales and all(limits[0] < scale < limits[1] for scale in scales):
+            return (
+                f"All its scale factors are near {ratio:.3g}: {text}. Correct `unit` of the gyro "
+                "in the import map, and import the data again"
+            )
+    return ""
 
 
 def widen_by_conflicts(

@@ -44,7 +44,7 @@ def judge_fit(fit: GyroFit) -> Trust:
         reasons.append(
             f"the residual's variance is {fit.reduced_chi2:.3g} times that of the noise, so "
             "the standard uncertainties have no meaning. Check the signs, the axes and the "
-            "full scale in the rig file"
+            "full scale in the rig file or in the import map"
         )
         verdict = "refused"
     if fit.observability.rank == 0:

@@ -33,6 +33,8 @@ from gyrorig_solver.model import term_label
 
 BASE_TERMS = ("bias", "scale", "nonorthogonality", "misalignment")
 MAX_REDUCED_CHI2_LIMITED = 1.25
+# Closer rates mean the same clock: rounding to 1e-9 s in 10 s is a tenth of it.
+SAME_CLOCK_PPM = 1e-3
 MAX_USUAL_SKEW_PPM = 500.0  # a crystal has 50; a sensor's oscillator has more
 
 
@@ -131,6 +133,25 @@ def build_gyro_fit(outcome: FitOutcome, samples: Sequence[GyroSamples]) -> GyroF
             *_reference_temperatures(outcome.fitted_terms, samples),
         ),
         recordings=outcome.recordings,
+    )
+
+
+def warn_of_unchecked_times(samples: Sequence[GyroSamples]) -> tuple[str, ...]:
+    """Return a remark for a reference without times, if only a file states those of the samples.
+
+    The host of a rig checks the clock of a board. A file with one column of times has one clock for
+    both, and its times can be nominal.
+    """
+    has_one_clock = [
+        each.metadata.get("link") == "file" and abs(each.clock.skew_ppm) < SAME_CLOCK_PPM
+        for each in samples
+    ]
+    if not any(has_one_clock):
+        return ()
+    return (
+        "the reference has no times, so the scale factors are only as accurate as the times in the "
+        "file: if these run 1 % fast, the scale factors are 1 % too large. If they are nominal, "
+        "compare the duration of the file with a clock, and correct the rate in the import map",
     )
 
 

@@ -17,7 +17,11 @@ import numpy as np
 from gyrorig_protocol.errors import InputError
 from gyrorig_solver.data import FloatArray
 from gyrorig_solver.data.samples import GyroSamples
-from gyrorig_solver.estimate.fit_summary import FitOutcome, build_gyro_fit
+from gyrorig_solver.estimate.fit_summary import (
+    FitOutcome,
+    build_gyro_fit,
+    warn_of_unchecked_times,
+)
 from gyrorig_solver.estimate.gravity_mismatch import list_mismatches
 from gyrorig_solver.estimate.gyro_fit import GravityMoves, GyroFit
 from gyrorig_solver.estimate.information import PARAMETER_NAMES
@@ -128,6 +132,7 @@ def fit_gravity(
             "the residuals of the moves have a standard deviation of "
             f"{np.degrees(sigma_rad):.2f} deg in each direction, and the standard uncertainties of "
             "the result are scaled to this value",
+            *warn_of_unchecked_times([samples]),
         ),
         limited_reasons=() if solver.converged else (_NOT_CONVERGED,),
         gravity_moves=GravityMoves(len(moves), len(poses.rests), sigma_rad),

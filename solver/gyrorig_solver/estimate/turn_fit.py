@@ -20,7 +20,11 @@ import numpy as np
 from gyrorig_protocol.errors import InputError
 from gyrorig_solver.data import FloatArray
 from gyrorig_solver.data.samples import GyroSamples
-from gyrorig_solver.estimate.fit_summary import FitOutcome, build_gyro_fit
+from gyrorig_solver.estimate.fit_summary import (
+    FitOutcome,
+    build_gyro_fit,
+    warn_of_unchecked_times,
+)
 from gyrorig_solver.estimate.gyro_fit import GyroFit, RecordingFit
 from gyrorig_solver.estimate.information import PARAMETER_NAMES
 from gyrorig_solver.estimate.observability import (
@@ -32,11 +36,17 @@ from gyrorig_solver.estimate.parameter_layout import (
     ParameterLayout,
     eliminate_parameters,
 )
-from gyrorig_solver.estimate.rest_mean import RestMean, measure_rest, samples_in
+from gyrorig_solver.estimate.rest_mean import RestMean, measure_rest
+from gyrorig_solver.estimate.turn_checks import (
+    MeasuredTurn,
+    describe_contradiction,
+    describe_cut_turns,
+    find_reversed_turns,
+)
+from gyrorig_solver.estimate.turn_integral import IntegratedTurn, integrate_turn
 from gyrorig_solver.model import cross_matrix
 from gyrorig_solver.numerics import chi2_quantile
 from gyrorig_solver.reference import TurnReference
-from gyrorig_solver.reference.known_turns import KnownTurn
 
 # Difference between true and stated axis, per direction: a board held by hand
 # against the edge of a table (an assumption; a rate table is far better).
@@ -48,11 +58,6 @@ MIN_BIAS_STD_RAD_S = float(np.radians(0.003))
 # between them. Source: the limit of the bias in `uncertainty/default_settings.yaml`.
 POWER_UP_BIAS_STD_RAD_S = float(np.radians(0.1))
 MAX_ITERATIONS = 4
-# Between two usable samples of a turn, or from its ends to the nearest one: the integral is a
-# straight line there.
-MAX_GAP_S, MAX_GAP_PERIODS = 0.1, 3.0
-# The first sample of a turn can be later than its begin by this many periods without a gap.
-MAX_END_PERIODS = 1.5
 REASON_TEXTS = {
     "x": "the recordings have no turn about the x axis of the reference; add one",
     "y": "the recordings have no turn about the y axis of the reference; add one",
@@ -63,16 +68,6 @@ REASON_TEXTS = {
         "motion over time"
     ),
 }
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _IntegratedTurn:
-    """One turn as measured by the gyro."""
-
-    recording: int
-    turn: KnownTurn
-    integral: FloatArray  # (3,), rad, with the bias
-    span_s: float
 
 
 def fit_turns(recordings: Sequence[tuple[GyroSamples, TurnReference]]) -> GyroFit:
@@ -88,7 +83,7 @@ def fit_turns(recordings: Sequence[tuple[GyroSamples, TurnReference]]) -> GyroFi
         InputError: there is no turn or no rest, or they have no samples.
     """
     integrated_turns = [
-        _integrate(k, samples, turn)
+        integrate_turn(k, samples, turn)
         for k, (samples, reference) in enumerate(recordings)
         for turn in reference.turns
     ]
@@ -110,25 +105,47 @@ def fit_turns(recordings: Sequence[tuple[GyroSamples, TurnReference]]) -> GyroFi
     solver = _TurnSolver(integrated_turns, rests)
     solver.run()
     reduced_chi2, degrees_of_freedom = solver.reduced_chi2()
-    inflation = max(1.0, reduced_chi2) if degrees_of_freedom > 0 else 1.0
+    is_tested = degrees_of_freedom > 0
+    inflation = max(1.0, reduced_chi2) if is_tested else 1.0
+    chi2_limit = (
+        chi2_quantile(0.01, degrees_of_freedom) / degrees_of_freedom if is_tested else np.inf
+    )
+    is_contradiction = is_tested and reduced_chi2 > chi2_limit
     outcome = FitOutcome(
         estimate=solver.estimate,
         observability=analyse_observability(
             solver.information(len(recordings) - 1) / inflation, PARAMETER_NAMES
         ),
-        reduced_chi2=reduced_chi2 if degrees_of_freedom > 0 else float("nan"),
-        chi2_limit=chi2_quantile(0.01, degrees_of_freedom) / degrees_of_freedom
-        if degrees_of_freedom > 0
-        else np.inf,
+        reduced_chi2=reduced_chi2 if is_tested else float("nan"),
+        chi2_limit=chi2_limit,
         outliers=0,
         rms_before_rad_s=solver.rms_rad_s(nominal=True),
         rms_after_rad_s=solver.rms_rad_s(nominal=False),
         reference=f"{len(integrated_turns)} turns by known angles, {sum(map(len, rests))} rests",
-        reason_texts=REASON_TEXTS,
-        warnings=_warnings(solver, integrated_turns[0].turn.std_rad, degrees_of_freedom > 0),
+        reason_texts=REASON_TEXTS | (_contradiction_texts(solver) if is_contradiction else {}),
+        warnings=(
+            *_warnings(solver, integrated_turns[0].turn.std_rad, is_tested),
+            *describe_cut_turns(solver.measured_turns()),
+            *warn_of_unchecked_times([samples for samples, _ in recordings]),
+        ),
+        limited_reasons=_reasons(solver, is_contradiction),
         recordings=solver.recording_fits(inflation) if len(recordings) > 1 else (),
     )
     return build_gyro_fit(outcome, [samples for samples, _ in recordings])
+
+
+def _reasons(solver: "_TurnSolver", is_contradiction: bool) -> tuple[str, ...]:
+    turns = solver.measured_turns()
+    contradiction = describe_contradiction(turns, solver.residual_sigma) if is_contradiction else ""
+    return tuple(filter(None, (contradiction, find_reversed_turns(turns, solver.gain))))
+
+
+def _contradiction_texts(solver: "_TurnSolver") -> dict[str, str]:
+    """Return why turns about an axis do not determine its column."""
+    text = "the stated turns contradict each other; correct them as stated above"
+    return {
+        axis: text for axis, is_turned in zip("xyz", solver.axis_turned, strict=True) if is_turned
+    }
 
 
 def _warnings(solver: "_TurnSolver", std_rad: float, is_checked: bool) -> tuple[str, ...]:
@@ -160,43 +177,6 @@ def _bias_warnings(solver: "_TurnSolver") -> Iterator[str]:
             f"{np.degrees(POWER_UP_BIAS_STD_RAD_S):.2g} deg/s for the change of the bias at a "
             "power-up. A rest in each recording makes the result more accurate"
         )
-
-
-def _integrate(recording: int, samples: GyroSamples, turn: KnownTurn) -> _IntegratedTurn:
-    index = samples_in(samples, turn.interval)
-    if index.size < 8:
-        raise InputError(
-            f"the turn at {turn.interval.begin_s:.1f} s has only {index.size} usable samples, and "
-            "8 are needed",
-            "correct the start and the end of the turn in the import map, or remove the turn. Then "
-            "import the data again",
-        )
-    if np.any(np.diff(samples.segment[index]) != 0):
-        raise InputError(
-            f"the board was reset during the turn at {turn.interval.begin_s:.1f} s",
-            "check the board's supply and cable, and record the turn again",
-        )
-    time_s, rate = samples.time_s[index], samples.rate_rad_s[index]
-    bounds_s = np.concatenate([[turn.interval.begin_s], time_s, [turn.interval.end_s]])
-    longest_gap_s = float(np.diff(bounds_s).max())
-    if longest_gap_s > max(MAX_GAP_S, MAX_GAP_PERIODS * samples.period_s):
-        raise InputError(
-            f"the turn at {turn.interval.begin_s:.1f} s has no usable sample for "
-            f"{longest_gap_s:.2g} s, because samples are lost or at full scale, so its total angle "
-            "is not known",
-            "turn more slowly or use a larger full scale, and record the turn again, or remove it "
-            "from the import map",
-        )
-    # Half a period is added at both ends, because n samples represent n periods. In a short gap at
-    # an end, the rate is that of the nearest sample.
-    begin_gap_s, end_gap_s = (
-        gap_s if gap_s > MAX_END_PERIODS * samples.period_s else 0.0
-        for gap_s in (bounds_s[1] - bounds_s[0], bounds_s[-1] - bounds_s[-2])
-    )
-    added_s = np.array([[0.5 * samples.period_s + gap_s] for gap_s in (begin_gap_s, end_gap_s)])
-    integral = np.trapezoid(rate, time_s, axis=0) + np.sum(added_s * rate[[0, -1]], axis=0)
-    duration_s = float(time_s[-1] - time_s[0] + added_s.sum())
-    return _IntegratedTurn(recording, turn, integral, duration_s)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -233,7 +213,7 @@ class _TurnSolver:
     """Gauss-Newton over G and each recording's b; only the weights depend on G."""
 
     def __init__(
-        self, integrated_turns: list[_IntegratedTurn], rests: Sequence[list[RestMean]]
+        self, integrated_turns: list[IntegratedTurn], rests: Sequence[list[RestMean]]
     ) -> None:
         """Start with the nominal gain and the mean rates of the rests.
 
@@ -250,7 +230,7 @@ class _TurnSolver:
             _BiasAtRest.of(recording_rests) if recording_rests else pooled.after_power_up()
             for recording_rests in rests
         ]
-        self._gain = np.eye(3)
+        self.gain = np.eye(3)
         self._biases = np.array([bias.mean_rad_s for bias in self._biases_at_rest])
         axes = np.array([integrated.turn.axis for integrated in integrated_turns])
         self.axis_turned = np.linalg.norm(axes, axis=0) > 0.1
@@ -258,7 +238,16 @@ class _TurnSolver:
     @property
     def estimate(self) -> FloatArray:
         """G, b of the last recording, and an unknown time offset, shape (13,)."""
-        return np.concatenate([self._gain.ravel(), self._biases[-1], [0.0]])
+        return np.concatenate([self.gain.ravel(), self._biases[-1], [0.0]])
+
+    def measured_turns(self) -> list[MeasuredTurn]:
+        """Return what the gyro shows of each turn."""
+        return [self._measured_turn(integrated) for integrated in self._integrated_turns]
+
+    @property
+    def residual_sigma(self) -> list[float]:
+        """The residual of each turn, in its standard deviations."""
+        return [float(np.sqrt(self._chi2(integrated))) for integrated in self._integrated_turns]
 
     def run(self) -> None:
         """Solve with the weights of the last gain."""
@@ -268,7 +257,7 @@ class _TurnSolver:
                 analyse_scaled_observability(information, self._layout.prior_std).pseudo_inverse
                 @ score
             )
-            self._gain = self._gain + step[:9].reshape(3, 3)
+            self.gain = self.gain + step[:9].reshape(3, 3)
             self._biases = self._biases + step[9:].reshape(-1, SESSION_PARAMETERS)[:, :3]
 
     def information(self, recording: int) -> FloatArray:
@@ -288,16 +277,13 @@ class _TurnSolver:
 
     def reduced_chi2(self) -> tuple[float, int]:
         """Return the turns' reduced chi-square and its degrees of freedom."""
-        total = 0.0
-        for integrated in self._integrated_turns:
-            residual = self._residual(integrated)
-            total += float(residual @ np.linalg.solve(self._covariance(integrated), residual))
+        total = sum(map(self._chi2, self._integrated_turns))
         degrees_of_freedom = 3 * (len(self._integrated_turns) - int(self.axis_turned.sum()))
         return (total / degrees_of_freedom if degrees_of_freedom > 0 else 1.0), degrees_of_freedom
 
     def rms_rad_s(self, nominal: bool) -> float:
         """Return the rms rate error over the turns, fitted or with the nominal gain."""
-        gain = np.eye(3) if nominal else self._gain
+        gain = np.eye(3) if nominal else self.gain
         errors = [
             (
                 integrated.integral
@@ -309,16 +295,34 @@ class _TurnSolver:
         ]
         return float(np.sqrt(np.mean(np.square(errors))))
 
-    def _residual(self, integrated: _IntegratedTurn) -> FloatArray:
-        predicted = self._gain @ integrated.turn.axis * integrated.turn.angle_rad
+    def _measured_turn(self, integrated: IntegratedTurn) -> MeasuredTurn:
+        turn = integrated.turn
+        # Contradicting turns shift the fitted bias.
+        bias = self._biases_at_rest[integrated.recording].mean_rad_s
+        edge_rates = np.linalg.norm(integrated.edge_rate_rad_s - bias, axis=1)
+        return MeasuredTurn(
+            begin_s=turn.interval.begin_s,
+            axis=turn.axis,
+            angle_rad=turn.angle_rad,
+            std_rad=turn.std_rad,
+            rotation_rad=np.asarray(integrated.integral - bias * integrated.span_s, np.float64),
+            edge_rad=float(edge_rates.max()) * integrated.period_s,
+        )
+
+    def _chi2(self, integrated: IntegratedTurn) -> float:
+        residual = self._residual(integrated)
+        return float(residual @ np.linalg.solve(self._covariance(integrated), residual))
+
+    def _residual(self, integrated: IntegratedTurn) -> FloatArray:
+        predicted = self.gain @ integrated.turn.axis * integrated.turn.angle_rad
         bias = self._biases[integrated.recording]
         return np.asarray(integrated.integral - bias * integrated.span_s - predicted, np.float64)
 
-    def _covariance(self, integrated: _IntegratedTurn) -> FloatArray:
+    def _covariance(self, integrated: IntegratedTurn) -> FloatArray:
         """Return the covariance of a turn's integral: angle, axis, change of the bias, noise."""
         turn = integrated.turn
-        by_angle = self._gain @ turn.axis
-        by_axis = self._gain @ cross_matrix(turn.axis) * turn.angle_rad * AXIS_STD_RAD
+        by_angle = self.gain @ turn.axis
+        by_axis = self.gain @ cross_matrix(turn.axis) * turn.angle_rad * AXIS_STD_RAD
         at_rest = self._biases_at_rest[integrated.recording]
         by_bias = (at_rest.change_std_rad_s * integrated.span_s) ** 2
         by_noise = at_rest.angle_variance_rad2_s * integrated.span_s
