@@ -7,10 +7,11 @@ import pytest
 from tests.unit.importers.test_import_measurements import BASE, archive, mapped
 
 from gyrorig_protocol.recording.reader import read_recording
+from gyrorig_solver import cli
 from gyrorig_solver.data.samples import load_samples
 from gyrorig_solver.estimate.rest_mean import measure_rest
 from gyrorig_solver.importers import import_measurements
-from gyrorig_solver.importers.rounding_step import find_rounding_step
+from gyrorig_solver.importers.sample_encoding import find_rounding_step
 from gyrorig_solver.reference.known_turns import TimeInterval
 
 STEP_RAD_S = float(np.radians(1.0 / 131.0))  # MPU-6050, full scale 250 deg/s
@@ -64,3 +65,18 @@ def test_the_bias_of_a_rounded_table_has_the_uncertainty_of_a_step(tmp_path: Pat
     rest = measure_rest(samples, TimeInterval(0.0, 60.0))
     assert np.all(np.abs(rest.rate_rad_s - BIAS_RAD_S) < 2.0 * rest.std_rad_s)
     assert rest.std_rad_s == pytest.approx(STEP_RAD_S / np.sqrt(12.0), rel=0.1)
+
+
+def test_an_axis_without_any_change_of_its_counts_is_solved(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Before, a division by zero printed a warning of NumPy."""
+    counts = np.rint(at_rest(0.065, rows=20_000) / STEP_RAD_S)
+    assert np.ptp(counts, axis=0).tolist() == [0.0, 0.0, 1.0]
+    text = BASE.replace("unit: rad/s", f"unit: counts, scale_rad_s: {STEP_RAD_S!r}")
+    source = archive(tmp_path / "in.npz", t=1.0 + np.arange(len(counts)) / 100.0, g=counts)
+    mapping = mapped(text + "static: [{}]\n")
+    recording = import_measurements(source, mapping, tmp_path / "out.mcap").path
+    out = tmp_path / "calibrations"
+    assert cli.run(["solve", str(recording), "--out", str(out)]) == 4
+    assert capsys.readouterr().err == ""
