@@ -114,6 +114,7 @@ def _line_templates(projection: NuisanceProjector, term: Term) -> tuple[FloatArr
         ** 2
     )
     bins = np.minimum(np.round(aliased * SPECTRUM_OVERSAMPLING), power.shape[0] - 1)
-    relative = power / np.mean(power, axis=0)
+    # An axis without any residual has no spectrum.
+    relative = power / np.maximum(np.mean(power, axis=0), np.finfo(np.float64).tiny)
     order = np.argsort(-relative[bins.astype(np.int64)].sum(axis=1), kind="stable")
     return templates[order[:MAX_PEAKS]], len(templates)
