@@ -90,7 +90,8 @@ def _evidence_of_motion(
         origin = "a gyroscope" if profile is None else f"the {profile.sensor} (see its data sheet)"
         return (
             f"its mean rate about {'xyz'[worst]} is {np.degrees(median_rad_s[worst]):+.1f} deg/s, "
-            f"and a bias of {origin} is at most {np.degrees(limit_rad_s):.3g} deg/s"
+            f"and a bias of {origin} is at most {np.degrees(limit_rad_s):.3g} deg/s. The "
+            "board moves, or the unit of the rates is wrong"
         )
     is_moving = _find_motion(windows, profile)
     share = float(np.mean(is_moving))
@@ -100,7 +101,7 @@ def _evidence_of_motion(
     if share > MAX_MOVING_SHARE or turn_rad > MAX_TURN_RAD:
         deviation = np.abs(windows.mean_rad_s - median_rad_s).max(axis=1) + windows.scatter_rad_s
         return (
-            f"the board moves in {100.0 * share:.0f} % of it, with rates up to "
+            f"the board moves in {100.0 * share:.3g} % of it, with rates up to "
             f"{np.degrees(deviation.max()):.2g} deg/s from the median"
         )
     return _evidence_of_force(windows.force_m_s2)

@@ -39,6 +39,12 @@ def one_turn(time_s: FloatArray, _rate: FloatArray, _force: FloatArray) -> Float
     return np.outer(moves, np.radians([30.0, 0.0, 0.0]))
 
 
+def short_turn(time_s: FloatArray, _rate: FloatArray, _force: FloatArray) -> FloatArray:
+    """Return a rest with one turn by 14 deg in a fifth of a second."""
+    moves = ((time_s > 40.0) & (time_s < 40.2)).astype(np.float64)
+    return np.outer(moves, np.radians([70.0, 0.0, 0.0]))
+
+
 def knock(time_s: FloatArray, _rate: FloatArray, _force: FloatArray) -> FloatArray:
     """Return a knock that lasts a twentieth of a second."""
     moves = ((time_s > 40.0) & (time_s < 40.05)).astype(np.float64)
@@ -48,7 +54,12 @@ def knock(time_s: FloatArray, _rate: FloatArray, _force: FloatArray) -> FloatArr
 @pytest.mark.parametrize("with_accelerometer", [True, False])
 @pytest.mark.parametrize(
     ("rate", "evidence"),
-    [(hand, "the board moves in 100 %"), (rate_table, "is at most"), (one_turn, "the board moves")],
+    [
+        (hand, "the board moves in 100 %"),
+        (rate_table, "or the unit of the rates is wrong"),
+        (one_turn, "the board moves"),
+        (short_turn, "the board moves in 3.39 %"),  # "in 0 %" of a long rest before
+    ],
 )
 def test_motion_is_refused_with_its_times(
     tmp_path: Path, rate: RateError, evidence: str, with_accelerometer: bool
