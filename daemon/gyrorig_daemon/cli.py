@@ -13,7 +13,7 @@ import traceback
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from gyrorig_protocol.child_process import protect_children
+from gyrorig_protocol.child_process import discard_output, open_closed_streams, protect_children
 
 if TYPE_CHECKING:
     from gyrorig_daemon.commands.terminal import Terminal
@@ -27,6 +27,7 @@ def main() -> None:
     """Run `gyrorigd` and exit with its status."""
     signal.signal(signal.SIGINT, signal.SIG_DFL)  # until a command handles it
     protect_children()
+    open_closed_streams()
     sys.exit(run(sys.argv[1:]))
 
 
@@ -41,7 +42,7 @@ def run(arguments: Sequence[str]) -> int:
             sys.stdout.flush()
     except BrokenPipeError:
         # The reader of standard output is gone: discard the rest, without an error.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        discard_output()
         return 1
     except Exception as error:  # noqa: BLE001, RUF100 - the edge: every error becomes one line
         if terminal.traceback or os.environ.get(TRACEBACK_VARIABLE):
@@ -107,8 +108,11 @@ def _report_error(error: Exception, as_json: bool) -> int:
             "`gyrorigd --traceback ...` shows where. Report it."
         )
     text = " ".join(text.split())
-    if as_json:
-        click.echo(json.dumps({"error": text, "exit_code": status}))
     clear_progress = "\r\x1b[K" if sys.stderr.isatty() else ""
     print_line(f"gyrorigd: {text}", to_stderr=True, prefix=clear_progress)
+    if as_json:
+        try:
+            click.echo(json.dumps({"error": text, "exit_code": status}))
+        except OSError:  # for example a full disk, which is the failure itself
+            discard_output()
     return status

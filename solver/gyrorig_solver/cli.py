@@ -15,7 +15,7 @@ from typing import NoReturn
 
 import click
 
-from gyrorig_protocol.child_process import protect_children
+from gyrorig_protocol.child_process import discard_output, open_closed_streams, protect_children
 from gyrorig_protocol.errors import GyrorigError, UsageError, sentence
 from gyrorig_protocol.suggestions import did_you_mean
 from gyrorig_solver.commands.terminal import Terminal, printable, version_text
@@ -151,7 +151,7 @@ def run(arguments: Sequence[str]) -> int:
             sys.stdout.flush()
     except BrokenPipeError:
         # The reader of our output has gone: discard the rest.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        discard_output()
         return 1
     except (KeyboardInterrupt, click.Abort):
         return _print_failure(terminal, "stopped by Ctrl-C", _INTERRUPTED)
@@ -165,6 +165,7 @@ def run(arguments: Sequence[str]) -> int:
 def main() -> NoReturn:
     """Run the command line of this process and exit with its status."""
     protect_children()
+    open_closed_streams()
     # Before numpy is imported: many small matrices are four times slower on several threads.
     for library in ("OPENBLAS", "OMP", "MKL"):
         os.environ.setdefault(f"{library}_NUM_THREADS", "1")
@@ -231,5 +232,9 @@ def _print_failure(terminal: Terminal, text: str, code: int) -> int:
     line = printable(" ".join(text.split()))
     sys.stderr.write(f"gyrorig: {line}\n")
     if terminal.json:
-        sys.stdout.write(json.dumps({"error": line, "exit_code": code}) + "\n")
+        try:
+            sys.stdout.write(json.dumps({"error": line, "exit_code": code}) + "\n")
+            sys.stdout.flush()
+        except OSError:  # for example a full disk, which is the failure itself
+            discard_output()
     return code

@@ -22,7 +22,9 @@ from gyrorig_solver.storage import write_file
 @click.option(
     "--format", "kind", type=SuggestingChoice(FORMATS), required=True, help="Format of the output."
 )
-@output_option("File to write; it must not exist.  [default: standard output]")
+@output_option(
+    "File to write; it must not exist. - is standard output.  [default: standard output]"
+)
 @choice_option(
     "--frame", FRAMES, "stage", "Axes of the corrected rates: stage, or sensor (orthogonalised)."
 )
@@ -63,6 +65,8 @@ def export_command(
       gyrorig export calibrations/GY80-1/v0001.yaml --format c -o gy80_1.h
       gyrorig export calibrations/GY80-1/v0001.yaml --format px4 --slot 0
     """
+    if out == Path("-"):
+        out = None
     if out is not None and out.exists():
         raise UsageError(f"the output file {out} already exists", "choose another file with -o")
     document, digest = read_calibration(calibration)

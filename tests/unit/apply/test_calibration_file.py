@@ -107,3 +107,14 @@ def test_a_recording_given_as_the_calibration_is_recognised(
     recording.write_bytes(b"\x89MCAP0\r\n" + bytes(100))
     assert cli.run(["apply", str(recording), str(golden), "-o", str(tmp_path / "out.csv")]) == 3
     assert "is a recording (MCAP)" in capsys.readouterr().err
+
+
+def test_a_dash_is_standard_output(
+    golden: Path, tmp_path: Path, capsys: Captured, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Before, `gyrorig export` wrote a file with the name `-`."""
+    monkeypatch.chdir(tmp_path)
+    before = set(tmp_path.iterdir())
+    assert cli.run(["export", str(golden), "--format", "json", "-o", "-"]) == 0
+    assert '"board"' in capsys.readouterr().out
+    assert set(tmp_path.iterdir()) == before
