@@ -62,6 +62,7 @@ class PoseError:
     drift_rad_s: float = 0.0  # about the vertical, as of a heading without a magnetometer
     disturbance_rad: float = 0.0  # of the heading, by magnetic fields that depend on the heading
     flex_s2: float = 0.0  # a soft mount: angle per angular acceleration
+    clock_skew: float = 0.0  # the clock of the attitudes is fast by it
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -134,7 +135,7 @@ def record_attitudes(
             "t": time_s,
             "g": gyro.measure(time_s, rate, force, seed),
             "a": force,
-            "qt": at_s,
+            "qt": at_s * (1.0 + error.clock_skew),
             "q": hand.seen(at_s, error).as_quat(),
         },
         {"attitude": {"keys": ["q"], "order": "xyzw", "time": {"key": "qt"}}, **more},

@@ -68,6 +68,7 @@ class FitOutcome:
     prior_std: FloatArray | None = None  # of each name, if there are causes
     fitted_terms: tuple[FittedTerm, ...] = ()
     recordings: tuple[RecordingFit, ...] = ()
+    reference_clock_skew: float = 0.0
 
 
 def build_gyro_fit(outcome: FitOutcome, samples: Sequence[GyroSamples]) -> GyroFit:
@@ -133,6 +134,7 @@ def build_gyro_fit(outcome: FitOutcome, samples: Sequence[GyroSamples]) -> GyroF
             *_reference_temperatures(outcome.fitted_terms, samples),
         ),
         recordings=outcome.recordings,
+        reference_clock_skew=outcome.reference_clock_skew,
     )
 
 

@@ -156,6 +156,7 @@ class GyroFit:
     level: LevelEstimate | None = None  # if the recording has an accelerometer and tilts
     temperature: TemperatureFit | None = None  # the bias over temperature
     recordings: tuple[RecordingFit, ...] = ()  # in the order of time, if there are several
+    reference_clock_skew: float = 0.0  # corrected, of the reference relative to the gyro's clock
 
     @property
     def identified(self) -> bool:

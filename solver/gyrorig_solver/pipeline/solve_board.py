@@ -35,7 +35,7 @@ from gyrorig_solver.calibration.plausibility import (
 )
 from gyrorig_solver.calibration.provenance import build_provenance
 from gyrorig_solver.calibration.total_uncertainty import with_total_uncertainty
-from gyrorig_solver.calibration.unexplained_effect import widen_by_unexplained
+from gyrorig_solver.calibration.unexplained_effect import widen_by_clock, widen_by_unexplained
 from gyrorig_solver.estimate import GyroFit
 from gyrorig_solver.findings import to_yaml as findings_yaml
 from gyrorig_solver.findings import unexplained_bias_sigma
@@ -174,7 +174,7 @@ def _likelihood_document(
     document = msgspec.structs.replace(document, trust=trust)
     if assessed.budget is not None:
         budget = _widened_budget(assessed.budget, criticised, assessed.fit)
-        budget = widen_by_conflicts(budget, conflicts)
+        budget = widen_by_clock(widen_by_conflicts(budget, conflicts), assessed.fit)
         document = with_total_uncertainty(document, budget)
     if criticised.explanation is not None:
         return with_search_findings(document, criticised.explanation)

@@ -65,3 +65,21 @@ def test_the_right_reading_is_first_and_decided() -> None:
     assert judgement.residuals[0].reading == "as recorded"
     assert judgement.is_decided
     assert not judgement.is_wrong
+
+
+@pytest.mark.parametrize(
+    ("ratio", "unit"), [(np.degrees(1.0), "in deg/s"), (np.radians(1.0), "in rad/s")]
+)
+def test_a_wrong_unit_of_the_rates_is_refused(ratio: float, unit: str) -> None:
+    """Before, the reasons were "the board hardly turned" and "the rate never changed"."""
+    samples, stamp_s, q = session(1.0)
+    wrong = plain_samples(samples.time_s, samples.rate_rad_s * ratio)
+    with pytest.raises(InputError, match=f"times as fast as .*as if its rates are {unit}"):
+        fit_attitude([(wrong, reference(stamp_s, q))])
+
+
+def test_a_clock_that_is_two_percent_off_is_named() -> None:
+    """Before, the only reason was a difference of the times."""
+    samples, stamp_s, q = session(1.0)
+    with pytest.raises(InputError, match="or their clocks run at different speeds"):
+        fit_attitude([(samples, reference(stamp_s * 1.02, q))])

@@ -105,6 +105,21 @@ def test_an_unexplained_effect_is_part_of_the_total_uncertainty(tmp_path: Path) 
     assert added["scale.z"].contribution == pytest.approx(bound / 3**0.5 * entry.type_a, rel=0.1)
 
 
+def test_clocks_that_disagree_are_part_of_the_total_uncertainty(tmp_path: Path) -> None:
+    """Before, the verdict was good although each scale factor was wrong by 50 to 90 times its std.
+
+    Here the clock of the attitudes is wrong; nothing in the recording shows which clock is.
+    """
+    calibration = solve(tmp_path, GYRO, 1, PoseError(clock_skew=4e-3))
+    assert calibration.trust.verdict == "limited"
+    (reason, *_) = calibration.trust.reasons
+    assert "The largest contribution is reference clock" in reason
+    assert calibration.uncertainty is not None
+    for axis in "xyz":
+        entry = calibration.uncertainty.parameters[f"scale.{axis}"]
+        assert entry.total == pytest.approx(4e-3, rel=0.1)
+
+
 def test_values_that_no_part_has_are_not_good(tmp_path: Path) -> None:
     """The data determine the axes well, and no data sheet allows them."""
     gain = GYRO.gain @ np.array([[1.0, 0.11, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])

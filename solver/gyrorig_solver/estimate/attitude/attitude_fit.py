@@ -30,7 +30,7 @@ from gyrorig_solver.estimate.attitude.attitude_times import (
     resolve_times,
 )
 from gyrorig_solver.estimate.attitude.linearised_model import LinearisedModel
-from gyrorig_solver.estimate.attitude.time_shift import check_time_shift
+from gyrorig_solver.estimate.attitude.time_shift import check_rate_unit, check_time_shift
 from gyrorig_solver.estimate.information import PARAMETER_NAMES
 from gyrorig_solver.estimate.observability import (
     analyse_scaled_observability,
@@ -93,6 +93,7 @@ def solve_attitude(
     """
     for samples, reference in recordings:
         check_time_shift(samples, reference)
+        check_rate_unit(samples, reference)
     resolved = resolve_all(recordings, band_hz, keep_sawtooth)
     matches = [
         (recording_index, match_of_track)
@@ -162,9 +163,11 @@ def _solve_segments(
     if np.any(np.abs(lags_s) > 0.999 * LAG_LIMIT_S):
         raise InputError(
             "the times of the gyroscope and of the reference attitudes seem to differ by more than "
-            f"{LAG_LIMIT_S:.3g} s, which is the limit of the fit",
-            "compare the times of both, correct one of them (in an import map with `origin_s` "
-            "under `time`), and import again",
+            f"{LAG_LIMIT_S:.3g} s, which is the limit of the fit, or their clocks run at different "
+            "speeds",
+            "compare the times of both at the begin and at the end of the motion, correct one of "
+            "them (in an import map a constant difference with `origin_s` under `time`, a speed "
+            "with `rate_hz` or in the file), and import again",
         )
     return AttitudeFit(solver, linearised, bands, band_hz, resolved)
 

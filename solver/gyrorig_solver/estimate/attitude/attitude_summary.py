@@ -114,6 +114,7 @@ def build_outcome(
         ),
         diagnostics=_diagnostics(solver),
         recordings=_recording_fits(fit, inflation) if len(recordings) > 1 else (),
+        reference_clock_skew=max((outcome.skew for outcome in fit.resolved), key=abs, default=0.0),
     )
 
 

@@ -50,6 +50,7 @@ class ResolvedReference:
     outliers: int = 0
     step_std_s: float = 0.0  # uncertainty of the time offset from steps of the clocks
     has_sawtooth: bool = False  # its times have the saw-tooth of a clock
+    skew: float = 0.0  # corrected: positive if the clock of the reference was slow
 
     @property
     def offset_std_s(self) -> float:
@@ -115,6 +116,7 @@ def resolve_times(
         outliers,
         drift.step_std_s,
         keep_sawtooth,
+        drift.skew,
     )
 
 

@@ -5,7 +5,7 @@ gains and an offset at the limit. The speeds of gyro and reference do not depend
 sensor, so their correlation over all shifts shows a difference roughly. Near the best shift, a
 regression of the rates, with a gain and a bias, gives its value.
 
-What to use when: `check_time_shift` before a fit.
+What to use when: `check_time_shift` and `check_rate_unit` before a fit.
 """
 
 from dataclasses import dataclass
@@ -28,6 +28,12 @@ MIN_OVERLAP = 0.3  # of the shorter series; with less, few seconds agree by chan
 # this much more than every shift inside, or leave less than this share of what that one leaves.
 # Agreement by chance at rest, and of motion that repeats, is smaller.
 MIN_EXPLAINED, MIN_GAIN, MAX_REMAINING_RATIO = 0.5, 0.3, 0.25
+# Speed of the gyro relative to the attitudes, the unit that explains it, and the stated unit.
+UNIT_RATIOS = (
+    (float(np.degrees(1.0)), "deg/s", "rad/s"),
+    (float(np.radians(1.0)), "rad/s", "deg/s"),
+)
+UNIT_TOLERANCE = 0.2  # of the logarithm; gains of gyros differ by less
 
 
 def check_time_shift(samples: GyroSamples, reference: AttitudeReference) -> None:
@@ -53,16 +59,10 @@ def check_time_shift(samples: GyroSamples, reference: AttitudeReference) -> None
 
 def find_time_shift(samples: GyroSamples, reference: AttitudeReference) -> float | None:
     """Return gyro time minus reference time, s; None if it may be within `MAX_LAG_S`."""
-    tracks = reference.rate_segments()
-    if not tracks:
+    both = _mean_rates(samples, reference)
+    if both is None:
         return None
-    gyro = _MeanRates.of(samples.time_s[samples.usable], samples.rate_rad_s[samples.usable])
-    attitudes = _MeanRates.of(
-        np.concatenate([0.5 * (track.begin_s + track.end_s) for track in tracks]),
-        np.concatenate([track.rate_rad_s for track in tracks]),
-    )
-    if max(gyro.valid.size, attitudes.valid.size) > MAX_STEPS:
-        return None
+    gyro, attitudes = both
     lags = np.arange(1 - attitudes.valid.size, gyro.valid.size)
     begin_s = gyro.begin_s - attitudes.begin_s
     is_near = np.abs(lags * STEP_S + begin_s) <= MAX_LAG_S
@@ -73,6 +73,46 @@ def find_time_shift(samples: GyroSamples, reference: AttitudeReference) -> float
     is_better = share > nearest + MIN_GAIN or 1.0 - share < MAX_REMAINING_RATIO * (1.0 - nearest)
     shift_s = lag * STEP_S + begin_s
     return shift_s if is_better and share > MIN_EXPLAINED and abs(shift_s) > MAX_LAG_S else None
+
+
+def check_rate_unit(samples: GyroSamples, reference: AttitudeReference) -> None:
+    """Raise an error if the gyro turns 57.3 or 1/57.3 times as fast as the attitudes.
+
+    Raises:
+        InputError: the unit of the rates is wrong; the error states both units.
+    """
+    both = _mean_rates(samples, reference)
+    if both is None:
+        return
+    gyro, attitudes = both
+    lags = np.arange(1 - attitudes.valid.size, gyro.valid.size)
+    is_near = np.abs(lags * STEP_S + gyro.begin_s - attitudes.begin_s) <= MAX_LAG_S
+    fits = [_regress(gyro, attitudes, int(lag)) for lag in lags[is_near]]
+    share, gain = max(fits, key=lambda fit: fit[0], default=(0.0, np.eye(3)))
+    ratios = np.linalg.svd(gain, compute_uv=False)
+    for unit_ratio, written, stated in UNIT_RATIOS:
+        is_unit = np.all(np.abs(np.log(np.maximum(ratios, 1e-9) / unit_ratio)) < UNIT_TOLERANCE)
+        if share > MIN_EXPLAINED and is_unit:
+            raise InputError(
+                f"the gyro turns {unit_ratio:.3g} times as fast as the reference attitudes, as if "
+                f"its rates are in {written} and the import stated {stated}",
+                "correct `unit` under `gyro` in the import map, and import again",
+            )
+
+
+def _mean_rates(
+    samples: GyroSamples, reference: AttitudeReference
+) -> "tuple[_MeanRates, _MeanRates] | None":
+    """Return the mean rates of gyro and attitudes, None without attitudes or with too many."""
+    tracks = reference.rate_segments()
+    if not tracks:
+        return None
+    gyro = _MeanRates.of(samples.time_s[samples.usable], samples.rate_rad_s[samples.usable])
+    attitudes = _MeanRates.of(
+        np.concatenate([0.5 * (track.begin_s + track.end_s) for track in tracks]),
+        np.concatenate([track.rate_rad_s for track in tracks]),
+    )
+    return None if max(gyro.valid.size, attitudes.valid.size) > MAX_STEPS else (gyro, attitudes)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -134,14 +174,21 @@ def _correlate(first: FloatArray, second: FloatArray) -> FloatArray:
 
 def _explained_share(gyro: _MeanRates, attitudes: _MeanRates, lag: int) -> float:
     """Return the share of the gyro's variance that the attitudes explain, with gain and bias."""
+    return _regress(gyro, attitudes, lag)[0]
+
+
+def _regress(gyro: _MeanRates, attitudes: _MeanRates, lag: int) -> tuple[float, FloatArray]:
+    """Return the share that the attitudes explain, and the gain, (3, 3)."""
     first, second = max(lag, 0), max(-lag, 0)
     size = min(gyro.valid.size - first, attitudes.valid.size - second)
     rows, others = slice(first, first + size), slice(second, second + size)
     has_both = (gyro.valid[rows] * attitudes.valid[others]) > 0.0
     if has_both.sum() < MIN_OVERLAP * min(gyro.valid.sum(), attitudes.valid.sum()):
-        return 0.0
+        return 0.0, np.eye(3)
     measured = gyro.rate_rad_s[rows][has_both]
     design = np.column_stack([attitudes.rate_rad_s[others][has_both], np.ones(len(measured))])
-    residual = measured - design @ np.linalg.lstsq(design, measured, rcond=None)[0]
+    solution = np.linalg.lstsq(design, measured, rcond=None)[0]
+    residual = measured - design @ solution
     variance = float(np.sum((measured - measured.mean(axis=0)) ** 2))
-    return 1.0 - float(np.sum(residual**2)) / variance if variance > 0.0 else 0.0
+    share = 1.0 - float(np.sum(residual**2)) / variance if variance > 0.0 else 0.0
+    return share, np.asarray(solution[:3].T, np.float64)
