@@ -8,7 +8,7 @@ regression of the rates, with a gain and a bias, gives its value.
 What to use when: `check_time_shift` and `check_rate_unit` before a fit.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
@@ -28,6 +28,8 @@ MIN_OVERLAP = 0.3  # of the shorter series; with less, few seconds agree by chan
 # this much more than every shift inside, or leave less than this share of what that one leaves.
 # Agreement by chance at rest, and of motion that repeats, is smaller.
 MIN_EXPLAINED, MIN_GAIN, MAX_REMAINING_RATIO = 0.5, 0.3, 0.25
+# If no shift fits all data: parts of the recording with separate shifts, and the largest of them.
+SPEED_PARTS, MAX_CHANGING_SHIFT_S = 4, 3.0
 # Speed of the gyro relative to the attitudes, the unit that explains it, and the stated unit.
 UNIT_RATIOS = (
     (float(np.degrees(1.0)), "deg/s", "rad/s"),
@@ -48,6 +50,7 @@ def check_time_shift(samples: GyroSamples, reference: AttitudeReference) -> None
     """
     shift_s = find_time_shift(samples, reference)
     if shift_s is not None:
+        _check_clock_speed(samples, reference)
         word = "later" if shift_s > 0.0 else "earlier"
         raise InputError(
             f"the times of the gyroscope are about {abs(shift_s):.2f} s {word} than those of the "
@@ -98,6 +101,39 @@ def check_rate_unit(samples: GyroSamples, reference: AttitudeReference) -> None:
                 f"its rates are in {written} and the import stated {stated}",
                 "correct `unit` under `gyro` in the import map, and import again",
             )
+
+
+def _check_clock_speed(samples: GyroSamples, reference: AttitudeReference) -> None:
+    """Raise an error if the shift of the times changes steadily, so that no shift is right.
+
+    Raises:
+        InputError: the clocks run at different speeds; the error states the shifts.
+    """
+    both = _mean_rates(samples, reference)
+    if both is None:
+        return
+    gyro, attitudes = both
+    begin_s = gyro.begin_s - attitudes.begin_s
+    lags = np.arange(1 - attitudes.valid.size, gyro.valid.size)
+    lags = lags[np.abs(lags * STEP_S + begin_s) <= MAX_CHANGING_SHIFT_S]
+    shares, shifts_s = [], []
+    for rows in np.array_split(np.arange(gyro.valid.size), SPEED_PARTS):
+        valid = np.zeros(gyro.valid.size)
+        valid[rows] = gyro.valid[rows]
+        part = replace(gyro, valid=valid)
+        share, lag = max((_explained_share(part, attitudes, int(k)), int(k)) for k in lags)
+        shares.append(share)
+        shifts_s.append(lag * STEP_S + begin_s)
+    steps_s = np.diff(shifts_s)
+    is_steady = np.all(steps_s > 0.0) or np.all(steps_s < 0.0)
+    if min(shares) > MIN_EXPLAINED and is_steady:
+        raise InputError(
+            "the times of the gyroscope minus those of the reference attitudes change from "
+            f"{shifts_s[0]:+.2f} s to {shifts_s[-1]:+.2f} s during the recording, so their clocks "
+            "run at different speeds",
+            "correct the times of the wrong clock (in an import map with `rate_hz` or `unit` under "
+            "`time`, or in the file), and import again",
+        )
 
 
 def _mean_rates(
