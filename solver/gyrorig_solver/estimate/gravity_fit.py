@@ -26,6 +26,7 @@ from gyrorig_solver.estimate.gravity_mismatch import list_mismatches
 from gyrorig_solver.estimate.gyro_fit import GravityMoves, GyroFit
 from gyrorig_solver.estimate.information import PARAMETER_NAMES
 from gyrorig_solver.estimate.observability import analyse_observability
+from gyrorig_solver.estimate.rest_mean import std_by_rounding
 from gyrorig_solver.model import cross_matrix
 from gyrorig_solver.reference import (
     TimeInterval,
@@ -114,7 +115,7 @@ def fit_gravity(
     solver.run()
     if not solver.explains_moves():
         raise _disagreement(solver, moves)
-    information = _information(solver, rest_bias)
+    information = _information(solver, rest_bias, _rounding_std(samples, poses))
     sigma_rad = solver.sigma_rad  # of the reported gain
     outcome = FitOutcome(
         estimate=np.concatenate([solver.gain.ravel(), rest_bias.mean(axis=0), [0.0]]),
@@ -140,13 +141,28 @@ def fit_gravity(
     return build_gyro_fit(outcome, [samples])
 
 
-def _information(solver: "_GravitySolver", rest_bias: FloatArray) -> FloatArray:
-    """Return the information on `PARAMETER_NAMES`: the gain's from moves, the bias' from rests."""
+def _information(
+    solver: "_GravitySolver", rest_bias: FloatArray, rounding_std_rad_s: FloatArray
+) -> FloatArray:
+    """Return the information on `PARAMETER_NAMES`: the gain's from moves, the bias' from rests.
+
+    All rests of a board with little noise have the same error by rounding.
+    """
     information = np.zeros((13, 13))
     information[:9, :9] = solver.information()
     scatter = np.maximum(rest_bias.std(axis=0, ddof=1), 1e-7)
-    information[9:12, 9:12] = np.diag(len(rest_bias) / scatter**2)
+    variance = scatter**2 / len(rest_bias) + rounding_std_rad_s**2
+    information[9:12, 9:12] = np.diag(1.0 / variance)
     return information
+
+
+def _rounding_std(samples: GyroSamples, poses: StaticPoses) -> FloatArray:
+    """Return what rounding adds to the bias, the median over the rests, (3,)."""
+    stds = [
+        std_by_rounding(samples.rate_rad_s[first : last + 1], samples.quantum_rad_s)
+        for first, last in zip(poses.first_sample, poses.last_sample, strict=True)
+    ]
+    return np.asarray(np.median(stds, axis=0), np.float64)
 
 
 def _rest_bias(samples: GyroSamples, poses: StaticPoses) -> FloatArray:

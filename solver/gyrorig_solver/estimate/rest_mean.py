@@ -67,7 +67,7 @@ def measure_rest(samples: GyroSamples, interval: TimeInterval) -> RestMean:
     noise_std = _std_of_mean(inliers)
     return RestMean(
         rate_rad_s=inliers.mean(axis=0),
-        std_rad_s=np.hypot(noise_std, _std_by_rounding(inliers, samples.quantum_rad_s)),
+        std_rad_s=np.hypot(noise_std, std_by_rounding(inliers, samples.quantum_rad_s)),
         angle_variance_rad2_s=noise_std**2 * len(inliers) * samples.period_s,
     )
 
@@ -82,7 +82,7 @@ def _std_of_mean(rate: FloatArray) -> FloatArray:
     return np.asarray(np.maximum(white, by_blocks), dtype=np.float64)
 
 
-def _std_by_rounding(rate: FloatArray, quantum_rad_s: float) -> FloatArray:
+def std_by_rounding(rate: FloatArray, quantum_rad_s: float) -> FloatArray:
     """Return what rounding adds if the noise does not move the samples over several counts, (3,).
 
     The position of the rate within a count is then unknown, as in `noise.rounding`.

@@ -1,6 +1,7 @@
 """Gravity between rests: known truth, coverage over seeds, what it refuses."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -256,3 +257,17 @@ def test_every_wrong_map_is_corrected_by_its_matrix() -> None:
     imported = np.eye(3)[[1, 2, 0]]
     (text,) = [t for t, c in by_text.items() if np.array_equal(c @ imported, np.eye(3))]
     assert text.endswith("accelerometer are y, z, x, or if the columns of the gyro are z, x, y")
+
+
+def test_rounded_rests_share_the_error_of_their_rounding(
+    samples_of: Maker, true_gain: FloatArray, true_bias_rad_s: FloatArray
+) -> None:
+    """Before, the bias differed by 48 standard uncertainties from the true one."""
+    step_rad_s = 0.009
+    samples = handheld(samples_of, true_gain, true_bias_rad_s, seed=5, rate_noise_rad_s=1e-3)
+    rounded = np.rint(samples.rate_rad_s / step_rad_s) * step_rad_s
+    coarse = samples_of(samples.time_s, rounded, samples.accel_m_s2)
+    fit = fit_gravity(replace(coarse, quantum_rad_s=step_rad_s), GRAVITY)
+    std = np.array([fit.std[f"bias.{axis}"] for axis in "xyz"])
+    assert np.all(np.abs(fit.bias_rad_s - true_bias_rad_s) < 2.0 * std)
+    assert std == pytest.approx(step_rad_s / np.sqrt(12.0), rel=0.1)
