@@ -48,11 +48,12 @@ def largest_reduced_chi2(solution: ConvergedFit) -> tuple[float, int | None]:
         candidates += [(p.reduced_chi2(), k) for k, p in enumerate(powers) if p.is_sufficient]
         groups += [(power, k) for k, power in enumerate(powers)]
     false_alarm = FALSE_ALARM / (AXES * len(groups))
+    # In units of the noise model: rounding hides the noise of a single axis at rest.
     candidates += [
-        (axis.reduced_chi2(), k)
+        (factor, k)
         for power, k in groups
         for axis in power.axes
-        if axis.is_sufficient and axis.is_excess(axis.reduced_chi2(), false_alarm)
+        if (factor := axis.significant_factor(false_alarm)) > 1.0
     ]
     return max(candidates, key=lambda candidate: candidate[0])
 
@@ -134,14 +135,9 @@ class _WhitenedPower:
         if not self.is_sufficient:
             return 1.0
         factor = float(np.mean(self.power[self.moving]))
-        return factor if self.is_excess(factor, false_alarm) else 1.0
-
-    def is_excess(self, ratio: float, false_alarm: float) -> bool:
-        """Return whether a ratio of variances is significantly above 1."""
-        std = float(
-            np.sqrt(2.0 * np.sum(1.0 / self._counts))
-        )  # the levels also have an uncertainty
-        return ratio - 1.0 >= max(MIN_EXCESS, normal_quantile(false_alarm) * std)
+        std = float(np.sqrt(2.0 * np.sum(1.0 / self._counts)))  # the levels are uncertain, too
+        is_excess = factor - 1.0 >= max(MIN_EXCESS, normal_quantile(false_alarm) * std)
+        return factor if is_excess else 1.0
 
 
 def _whitened_power(solution: ConvergedFit) -> list[_WhitenedPower]:
