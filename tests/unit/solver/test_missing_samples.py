@@ -154,10 +154,24 @@ def test_an_unused_part_has_nothing_to_predict_from() -> None:
     sampling = Sampling(100.0, 1, 25.0, 1e-5, differentiated=False)
     assert gap_fill(np.zeros(300, dtype=np.bool_), NoiseModel(LEVELS, sampling)) is None
     used = np.zeros(5000, dtype=np.bool_)
-    used[:5] = True
+    used[:5] = used[-5:] = True
     fill = gap_fill(used, NoiseModel(LEVELS, sampling))
     assert fill is not None
-    assert not fill.fill(used.astype(np.float64))[2000:].any()
+    filled = fill.fill(used.astype(np.float64))
+    assert filled[5] > 0.0
+    assert not filled[2000:3000].any()
+
+
+def test_rows_at_the_ends_are_no_gap() -> None:
+    """Nearly every recording has some rows before the first position of the unit."""
+    sampling = Sampling(100.0, 4, 25.0, 1e-5, differentiated=False)
+    used = np.ones((300, 4), dtype=np.bool_)
+    used[:3] = used[3, :2] = used[-2:] = False
+    assert expected_densities(used, sampling) is None
+    assert not incomplete_densities(used, sampling).any()
+    assert gap_fill(used.any(axis=1), NoiseModel(LEVELS, sampling)) is None
+    used[150, 1] = False
+    assert expected_densities(used, sampling) is not None
 
 
 def test_the_share_of_each_part_scales_its_power() -> None:
