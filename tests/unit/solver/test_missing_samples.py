@@ -169,7 +169,7 @@ def test_rows_at_the_ends_are_no_gap() -> None:
     used[:3] = used[3, :2] = used[-2:] = False
     assert expected_densities(used, sampling) is None
     assert not incomplete_densities(used, sampling).any()
-    assert gap_fill(used.any(axis=1), NoiseModel(LEVELS, sampling)) is None
+    assert gap_fill(np.asarray(used.any(axis=1)), NoiseModel(LEVELS, sampling)) is None
     used[150, 1] = False
     assert expected_densities(used, sampling) is not None
 
