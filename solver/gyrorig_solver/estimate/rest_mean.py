@@ -28,9 +28,15 @@ class RestMean:
     """The mean rate of one rest."""
 
     rate_rad_s: FloatArray  # (3,)
-    std_rad_s: FloatArray  # (3,), by noise and rounding
+    noise_std_rad_s: FloatArray  # (3,)
+    rounding_std_rad_s: FloatArray  # (3,), of an error that all rests share, see `std_by_rounding`
     # (3,): variance of the integral of the noise, per second.
     angle_variance_rad2_s: FloatArray
+
+    @property
+    def std_rad_s(self) -> FloatArray:
+        """The standard uncertainty of the rate by noise and rounding, (3,)."""
+        return np.hypot(self.noise_std_rad_s, self.rounding_std_rad_s)
 
 
 def samples_in(samples: GyroSamples, interval: TimeInterval) -> IntArray:
@@ -67,7 +73,8 @@ def measure_rest(samples: GyroSamples, interval: TimeInterval) -> RestMean:
     noise_std = _std_of_mean(inliers)
     return RestMean(
         rate_rad_s=inliers.mean(axis=0),
-        std_rad_s=np.hypot(noise_std, std_by_rounding(inliers, samples.quantum_rad_s)),
+        noise_std_rad_s=noise_std,
+        rounding_std_rad_s=std_by_rounding(inliers, samples.quantum_rad_s),
         angle_variance_rad2_s=noise_std**2 * len(inliers) * samples.period_s,
     )
 
@@ -85,7 +92,8 @@ def _std_of_mean(rate: FloatArray) -> FloatArray:
 def std_by_rounding(rate: FloatArray, quantum_rad_s: float) -> FloatArray:
     """Return what rounding adds if the noise does not move the samples over several counts, (3,).
 
-    The position of the rate within a count is then unknown, as in `noise.rounding`.
+    The position of the rate within a count is then unknown, as in `noise.rounding`. All rests of a
+    board with a constant bias have the same position, so that more rests do not reduce the error.
     """
     noise_variance = np.var(rate, axis=0, ddof=1) - quantum_rad_s**2 / 12.0
     is_coarse = noise_variance < (LEAST_NOISE_COUNTS * quantum_rad_s) ** 2

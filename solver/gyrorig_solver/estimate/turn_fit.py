@@ -185,6 +185,7 @@ class _BiasAtRest:
 
     mean_rad_s: FloatArray  # (3,)
     mean_std_rad_s: FloatArray  # (3,)
+    rounding_std_rad_s: FloatArray  # (3,), of the error by rounding that all rests share
     change_std_rad_s: FloatArray  # (3,), of the bias between rests
     angle_variance_rad2_s: FloatArray  # (3,), of the integral of the noise, per second
 
@@ -192,13 +193,15 @@ class _BiasAtRest:
     def of(cls, rests: Sequence[RestMean]) -> "_BiasAtRest":
         """Return the weighted mean of at least one rest."""
         rates = np.array([rest.rate_rad_s for rest in rests])
-        noise_variances = np.array([rest.std_rad_s for rest in rests]) ** 2
+        noise_variances = np.array([rest.noise_std_rad_s for rest in rests]) ** 2
         scatter = np.var(rates, axis=0, ddof=1) if len(rests) > 1 else np.zeros(3)
         change_variance = np.maximum(scatter - noise_variances.mean(axis=0), MIN_BIAS_STD_RAD_S**2)
         weights = 1.0 / (change_variance + noise_variances)
+        rounding_std = np.median([rest.rounding_std_rad_s for rest in rests], axis=0)
         return cls(
             mean_rad_s=np.sum(weights * rates, axis=0) / weights.sum(axis=0),
-            mean_std_rad_s=weights.sum(axis=0) ** -0.5,
+            mean_std_rad_s=np.hypot(weights.sum(axis=0) ** -0.5, rounding_std),
+            rounding_std_rad_s=np.asarray(rounding_std, dtype=np.float64),
             change_std_rad_s=np.sqrt(change_variance),
             angle_variance_rad2_s=np.mean([rest.angle_variance_rad2_s for rest in rests], axis=0),
         )
@@ -262,9 +265,10 @@ class _TurnSolver:
 
     def information(self, recording: int) -> FloatArray:
         """Return the information on G and one recording's (b, tau), shape (13, 13)."""
-        return eliminate_parameters(
+        information = eliminate_parameters(
             self._normal_equations()[0], self._layout.index(recording), self._layout.prior_std
         )
+        return _limit_bias(information, self._biases_at_rest[recording].rounding_std_rad_s)
 
     def recording_fits(self, inflation: float) -> tuple[RecordingFit, ...]:
         """Return the bias of each recording."""
@@ -352,3 +356,17 @@ class _TurnSolver:
             information[bias, bias] += at_rest.mean_std_rad_s**-2.0
             score[bias] += (at_rest.mean_rad_s - self._biases[k]) / at_rest.mean_std_rad_s**2
         return information, score
+
+
+def _limit_bias(information: FloatArray, least_std_rad_s: FloatArray) -> FloatArray:
+    """Return the information, with a standard uncertainty of the bias by rounding or more.
+
+    An axis across a turn measures the same rate as at rest, with the same error by rounding. The
+    turns therefore do not reduce it. This adds a diagonal matrix to the covariance (Woodbury).
+    """
+    bias = slice(9, 12)
+    variance = np.diag(analyse_observability(information, PARAMETER_NAMES).covariance)[bias]
+    added_std = np.sqrt(np.maximum(least_std_rad_s**2 - variance, 0.0))
+    scaled = added_std[:, None] * information[bias]
+    inner = np.eye(3) + scaled[:, bias] * added_std
+    return np.asarray(information - scaled.T @ np.linalg.solve(inner, scaled), dtype=np.float64)
