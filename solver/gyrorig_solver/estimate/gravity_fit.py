@@ -23,10 +23,15 @@ from gyrorig_solver.estimate.fit_summary import (
     warn_of_unchecked_times,
 )
 from gyrorig_solver.estimate.gravity_mismatch import list_mismatches
+from gyrorig_solver.estimate.gravity_residual import (
+    RestErrors,
+    describe_excess,
+    measure_rest_errors,
+    predict_move_variance,
+)
 from gyrorig_solver.estimate.gyro_fit import GravityMoves, GyroFit
 from gyrorig_solver.estimate.information import PARAMETER_NAMES
 from gyrorig_solver.estimate.observability import analyse_observability
-from gyrorig_solver.estimate.rest_mean import std_by_rounding
 from gyrorig_solver.model import cross_matrix
 from gyrorig_solver.reference import (
     TimeInterval,
@@ -73,6 +78,7 @@ class _Move:
     rate_rad_s: FloatArray  # (n, 3), measured, minus the bias of the two rests
     gravity_before: FloatArray  # (3,), unit vector up
     gravity_after: FloatArray
+    variance_rad2: float  # predicted, of the residual in each direction
 
     @property
     def is_large(self) -> bool:
@@ -109,14 +115,18 @@ def fit_gravity(
             "record the accelerometer of the board too, or reference attitudes",
         )
     poses = find_poses(samples.time_s, samples.accel_m_s2, gravity_m_s2, rest_interval)
-    rest_bias = _rest_bias(samples, poses)
-    moves = _moves(samples, poses, rest_bias)
+    rests = measure_rest_errors(samples, samples.accel_m_s2, poses)
+    rest_bias = np.array([rest.rate_rad_s for rest in rests])
+    moves = _moves(samples, poses, rests)
     solver = _GravitySolver(moves)
     solver.run()
     if not solver.explains_moves():
         raise _disagreement(solver, moves)
-    information = _information(solver, rest_bias, _rounding_std(samples, poses))
-    sigma_rad = solver.sigma_rad  # of the reported gain
+    rounding_std = np.median([rest.rounding_std_rad_s for rest in rests], axis=0)
+    information = _information(solver, rest_bias, rounding_std)
+    # Of the reported gain.
+    sigma_rad, predicted_rad = solver.sigma_rad, solver.predicted_sigma_rad
+    excess = describe_excess(sigma_rad, predicted_rad, len(moves), len(rests))
     outcome = FitOutcome(
         estimate=np.concatenate([solver.gain.ravel(), rest_bias.mean(axis=0), [0.0]]),
         observability=analyse_observability(information, PARAMETER_NAMES),
@@ -135,8 +145,8 @@ def fit_gravity(
             "the result are scaled to this value",
             *warn_of_unchecked_times([samples]),
         ),
-        limited_reasons=() if solver.converged else (_NOT_CONVERGED,),
-        gravity_moves=GravityMoves(len(moves), len(poses.rests), sigma_rad),
+        limited_reasons=tuple(filter(None, ("" if solver.converged else _NOT_CONVERGED, excess))),
+        gravity_moves=GravityMoves(len(moves), len(rests), sigma_rad, predicted_rad),
     )
     return build_gyro_fit(outcome, [samples])
 
@@ -156,24 +166,7 @@ def _information(
     return information
 
 
-def _rounding_std(samples: GyroSamples, poses: StaticPoses) -> FloatArray:
-    """Return what rounding adds to the bias, the median over the rests, (3,)."""
-    stds = [
-        std_by_rounding(samples.rate_rad_s[first : last + 1], samples.quantum_rad_s)
-        for first, last in zip(poses.first_sample, poses.last_sample, strict=True)
-    ]
-    return np.asarray(np.median(stds, axis=0), np.float64)
-
-
-def _rest_bias(samples: GyroSamples, poses: StaticPoses) -> FloatArray:
-    means = []
-    for first, last in zip(poses.first_sample, poses.last_sample, strict=True):
-        good = samples.usable[first : last + 1]
-        means.append(samples.rate_rad_s[first : last + 1][good].mean(axis=0))
-    return np.array(means)
-
-
-def _moves(samples: GyroSamples, poses: StaticPoses, rest_bias: FloatArray) -> list[_Move]:
+def _moves(samples: GyroSamples, poses: StaticPoses, rests: list[RestErrors]) -> list[_Move]:
     """Return the usable moves: without gaps, unsaturated, and with enough rotation."""
     unbroken, broken_count = [], 0
     for k in range(len(poses.rests) - 1):
@@ -183,8 +176,11 @@ def _moves(samples: GyroSamples, poses: StaticPoses, rest_bias: FloatArray) -> l
         if not is_unbroken or np.any(np.diff(samples.segment[part]) != 0) or np.any(step_s <= 0.0):
             broken_count += 1
             continue
-        rate = samples.rate_rad_s[part] - (rest_bias[k] + rest_bias[k + 1]) / 2.0
-        unbroken.append(_Move(step_s, rate, poses.direction[k], poses.direction[k + 1]))
+        before, after = rests[k], rests[k + 1]
+        rate = samples.rate_rad_s[part] - (before.rate_rad_s + after.rate_rad_s) / 2.0
+        variance = predict_move_variance(before, after, step_s, rate, poses.direction[k])
+        directions = (poses.direction[k], poses.direction[k + 1])
+        unbroken.append(_Move(step_s, rate, *directions, variance))
     moves = [move for move in unbroken if move.is_large]
     if len(moves) < MIN_MOVES:
         raise _too_few_moves(unbroken, len(moves), broken_count)
@@ -282,6 +278,16 @@ class _GravitySolver:
     def move_count(self) -> int:
         """The number of moves."""
         return len(self._moves)
+
+    @property
+    def predicted_sigma_rad(self) -> float:
+        """The predicted standard deviation of the residuals in each direction.
+
+        Moves with much larger errors than the others have less weight, as in the fit.
+        """
+        variance = np.array([move.variance_rad2 for move in self._moves])
+        limit_rad = HUBER_SIGMA * np.sqrt(np.median(variance))
+        return float(np.sqrt(np.mean(np.minimum(variance, limit_rad * np.sqrt(variance)))))
 
     def nominal_cost(self) -> float:
         """Return the mean squared residual of the nominal gain, rad^2."""

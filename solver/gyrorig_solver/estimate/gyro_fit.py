@@ -111,6 +111,7 @@ class GravityMoves:
     moves: int
     poses: int
     sigma_rad: float  # standard deviation of a move's residual in each direction
+    predicted_sigma_rad: float  # the same, from the noise and the rests
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -70,7 +70,7 @@ def measure_rest(samples: GyroSamples, interval: TimeInterval) -> RestMean:
     low, high = np.percentile(rate, (5.0, 95.0), axis=0)
     spread = (high - low) / 3.29 + samples.quantum_rad_s
     inliers = rate[np.all(np.abs(rate - median) < KNOCK_SIGMA * spread, axis=1)]
-    noise_std = _std_of_mean(inliers)
+    noise_std = std_of_mean(inliers)
     return RestMean(
         rate_rad_s=inliers.mean(axis=0),
         noise_std_rad_s=noise_std,
@@ -79,7 +79,7 @@ def measure_rest(samples: GyroSamples, interval: TimeInterval) -> RestMean:
     )
 
 
-def _std_of_mean(rate: FloatArray) -> FloatArray:
+def std_of_mean(rate: FloatArray) -> FloatArray:
     """Return the standard deviation of the mean of correlated samples, (3,)."""
     white = np.std(rate, axis=0, ddof=1) / np.sqrt(len(rate))
     count = int(np.clip(len(rate) // BLOCK_SAMPLES, MIN_BLOCKS, MAX_BLOCKS))

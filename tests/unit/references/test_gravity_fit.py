@@ -11,8 +11,9 @@ from scipy.spatial.transform import Rotation
 from gyrorig_protocol.errors import InputError
 from gyrorig_solver.data import FloatArray
 from gyrorig_solver.data.samples import GyroSamples
-from gyrorig_solver.estimate import fit_gravity
+from gyrorig_solver.estimate import GyroFit, fit_gravity
 from gyrorig_solver.estimate.gravity_mismatch import list_mismatches
+from gyrorig_solver.estimate.gravity_residual import describe_excess
 from gyrorig_solver.reference import TimeInterval, find_poses
 from gyrorig_solver.reference.gravity_reference import calibrate_accelerometer
 
@@ -271,3 +272,56 @@ def test_rounded_rests_share_the_error_of_their_rounding(
     std = np.array([fit.std[f"bias.{axis}"] for axis in "xyz"])
     assert np.all(np.abs(fit.bias_rad_s - true_bias_rad_s) < 2.0 * std)
     assert std == pytest.approx(step_rad_s / np.sqrt(12.0), rel=0.1)
+
+
+def excess(fit: GyroFit) -> list[str]:
+    """Return the reasons that the moves have too large residuals."""
+    return [reason for reason in fit.limited_reasons if "Lost rows" in reason]
+
+
+def without_rows(make: Maker, samples: GyroSamples, share: float, seed: int) -> GyroSamples:
+    """Return the samples of a log that lost rows and has no column of times."""
+    assert samples.accel_m_s2 is not None
+    kept_rows = np.random.default_rng(seed).random(samples.time_s.size) > share
+    return make(
+        samples.time_s[: kept_rows.sum()],
+        samples.rate_rad_s[kept_rows],
+        samples.accel_m_s2[kept_rows],
+    )
+
+
+def test_lost_rows_without_times_limit_the_verdict(
+    samples_of: Maker, true_gain: FloatArray, true_bias_rad_s: FloatArray
+) -> None:
+    """Before, the scale factors were 2 % too small, and only a remark had the residuals."""
+    sound = handheld(samples_of, true_gain, true_bias_rad_s, 12, rate_noise_rad_s=1e-3)
+    lossy = fit_gravity(without_rows(samples_of, sound, 0.02, 1), GRAVITY)
+    assert np.trace(lossy.gain) == pytest.approx(0.98 * np.trace(true_gain), abs=0.02)
+    (reason,) = excess(lossy)
+    assert "a wrong rate in the import map" in reason
+    fit = fit_gravity(sound, GRAVITY)
+    assert not excess(fit)
+    assert fit.gravity_moves is not None
+    assert fit.gravity_moves.sigma_rad < 1.3 * fit.gravity_moves.predicted_sigma_rad
+    assert np.all(np.abs(fit.gain - true_gain) < 4.0 * fit.gain_std)
+    # The lost rows shift the gain by many standard uncertainties.
+    assert np.abs((lossy.gain - true_gain) / lossy.gain_std).max() > 4.0
+
+
+@pytest.mark.parametrize(
+    ("sigma_deg", "moves", "rests", "is_excess"),
+    [
+        (0.19, 200, 200, False),
+        (0.21, 200, 200, True),
+        (0.24, 24, 25, False),
+        (0.26, 24, 25, True),
+        (0.9, 9, 10, False),
+    ],
+)
+def test_few_rests_need_a_larger_excess(
+    sigma_deg: float, moves: int, rests: int, is_excess: bool
+) -> None:
+    """The scatter of few rests does not predict the residuals well."""
+    text = describe_excess(np.radians(sigma_deg), np.radians(0.1), moves, rests)
+    assert bool(text) == is_excess
+    assert f"deviation of {sigma_deg:.2g} deg" in text or not is_excess
