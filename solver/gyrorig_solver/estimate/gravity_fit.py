@@ -34,13 +34,13 @@ from gyrorig_solver.estimate.information import PARAMETER_NAMES
 from gyrorig_solver.estimate.observability import analyse_observability
 from gyrorig_solver.model import cross_matrix
 from gyrorig_solver.reference import (
+    StaticPoses,
     TimeInterval,
     find_poses,
     path_product,
     prefix_products,
     turn_vectors,
 )
-from gyrorig_solver.reference.gravity_reference import StaticPoses
 
 MAX_ITERATIONS = 40
 SCALE_RANGE = (0.5, 1.5)  # of the gyro's scale factor, for the initial guess

@@ -20,8 +20,7 @@ from gyrorig_solver.data.samples import GyroSamples
 from gyrorig_solver.estimate.rest_mean import MIN_SAMPLES, std_by_rounding, std_of_mean
 from gyrorig_solver.model import cross_matrix
 from gyrorig_solver.numerics import f_upper_tail
-from gyrorig_solver.reference import path_product, turn_vectors
-from gyrorig_solver.reference.gravity_reference import StaticPoses
+from gyrorig_solver.reference import StaticPoses, path_product, turn_vectors
 
 FALSE_ALARM = 1e-4  # probability of the reason without an excess
 # Smallest ratio of the standard deviations: three quarters of the variance then have a cause that

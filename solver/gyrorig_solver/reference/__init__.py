@@ -11,7 +11,7 @@ from gyrorig_solver.reference.attitude_reference import (
     AttitudeReference,
     read_attitude,
 )
-from gyrorig_solver.reference.gravity_reference import find_poses
+from gyrorig_solver.reference.gravity_reference import StaticPoses, find_poses
 from gyrorig_solver.reference.known_turns import TimeInterval, TurnReference, read_turns
 from gyrorig_solver.reference.reference_motion import ReferenceMotion
 from gyrorig_solver.reference.rest_reference import RestReference, mostly_at_rest
@@ -42,6 +42,7 @@ __all__ = [
     "ReferenceMotion",
     "RestReference",
     "StageRateJacobian",
+    "StaticPoses",
     "TimeInterval",
     "TurnReference",
     "find_poses",
