@@ -149,9 +149,9 @@ def describe_excess(
     return (
         "the residuals of the moves have a standard deviation of "
         f"{np.degrees(sigma_rad):.2g} deg in each direction, but the noise and the rests explain "
-        f"only {np.degrees(predicted_rad):.2g} deg. Lost rows without a column of times, a wrong "
-        "rate in the import map, or a hand that accelerates the board during the rests can cause "
-        "this. They also change all moves in the same direction, and the standard uncertainties do "
+        f"only {np.degrees(predicted_rad):.2g} deg. Lost rows without a column of times, a sample "
+        "rate that changes, or a hand that accelerates the board during the rests can cause this. "
+        "They also change all moves in the same direction, and the standard uncertainties do "
         "not contain this error. Import the times of the samples, lay the board down in each pose, "
         "and record again"
     )
