@@ -18,6 +18,7 @@ from pathlib import Path
 
 from gyrorig_protocol.errors import MachineError
 from gyrorig_solver.calibration import create_store
+from gyrorig_solver.fleet.jobs.interruption import Interruption, remember_interruption
 from gyrorig_solver.fleet.jobs.recording_cache import RecordingCache
 from gyrorig_solver.fleet.jobs.session_job import Job, JobResult, SolveSettings
 from gyrorig_solver.fleet.jobs.spool_scanner import (
@@ -134,19 +135,20 @@ def run_batch(
         UsageError: the spool does not exist, or the store's folder contains other files.
         MachineError: the store cannot be used.
         InputError: its index is damaged, or it has a newer schema.
+        KeyboardInterrupt: a person pressed Ctrl-C; finished sessions keep their rows.
     """
     listing, storage = scan_spool(spool), storage_at(store)
     create_store(storage)
     batch = f"{datetime.now(UTC):%Y%m%dT%H%M%SZ}-{os.getpid()}-{secrets.token_hex(3)}"
     index, claims = StoreIndex(storage), BatchClaims(storage, batch)
     summary = BatchSummary(listing)
-    with claims.begin_batch() as journal:
+    with remember_interruption() as interruption, claims.begin_batch() as journal:
         index.merge_ended_batches()
         work = _new_work(listing, storage, settings, index, shard or Shard(), retry, summary)
         progress(summary)
         for is_second_pass in (False, True):
             jobs = _claimed_jobs(work, listing.storage, storage, batch, settings, claims, summary)
-            _run_jobs(jobs, pools, journal, index, claims, summary, progress)
+            _run_jobs(jobs, pools, journal, index, claims, summary, progress, interruption)
             workers_lost = any(pool.is_lost() for pool in pools)
             if is_second_pass or not summary.deferred or summary.gave_up or workers_lost:
                 break
@@ -256,8 +258,9 @@ def _run_jobs(
     claims: BatchClaims,
     summary: BatchSummary,
     progress: ProgressCallback,
+    interruption: Interruption,
 ) -> None:
-    for outcome in run_all(jobs, pools):
+    for outcome in run_all(jobs, pools, interruption.check):
         try:
             if isinstance(outcome, DeferredJob):
                 raise outcome.fault

@@ -10,13 +10,13 @@ death is attributed to the job that the pool was running, and the pool starts a 
 
 import multiprocessing
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import FIRST_COMPLETED, Executor, Future, ProcessPoolExecutor, wait
+from concurrent.futures import FIRST_COMPLETED, Executor, Future, wait
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, field
 
 from gyrorig_protocol.child_process import protect_children
 from gyrorig_protocol.errors import MachineError
-from gyrorig_solver.fleet.jobs.resource_limits import limit_memory
+from gyrorig_solver.fleet.jobs.local_executor import LocalExecutor, abandon_local_executor
 from gyrorig_solver.fleet.jobs.session_job import Job, JobResult, failure_row, run_job
 
 MAX_WORKER_DEATHS = 1  # after the second one, the job is quarantined
@@ -89,24 +89,31 @@ def local_pools(workers: int, memory_bytes: int) -> list[WorkerPool]:
     context.set_forkserver_preload(PRELOADED_MODULES)
 
     def make() -> Executor:
-        return ProcessPoolExecutor(
-            1, mp_context=context, initializer=limit_memory, initargs=(memory_bytes,)
-        )
+        return LocalExecutor(context, memory_bytes)
 
-    return [WorkerPool(make) for _ in range(workers)]
+    return [WorkerPool(make, abandon_executor=abandon_local_executor) for _ in range(workers)]
 
 
-def run_all(jobs: Iterable[Job], pools: list[WorkerPool]) -> Iterator[JobResult | DeferredJob]:
+def _never_stopped() -> None:
+    pass
+
+
+def run_all(
+    jobs: Iterable[Job],
+    pools: list[WorkerPool],
+    check_stop: Callable[[], None] = _never_stopped,
+) -> Iterator[JobResult | DeferredJob]:
     """Yield the result of each job when it is ready.
 
     Jobs are taken one by one as pools become free, so `jobs` can be a generator. When the caller
-    stops, running jobs are abandoned.
+    stops, or `check_stop` raises an exception, running jobs are abandoned.
     """
     new_jobs = iter(jobs)
     retries: list[Job] = []
     deaths: dict[str, int] = {}
     try:
         while True:
+            check_stop()
             not_started = _fill_pools(pools, retries, new_jobs)
             yield from map(_deferred, not_started)
             futures = {future: pool for pool in pools for future in pool.running_jobs}
