@@ -91,7 +91,7 @@ class CalibrationStore:
         return versions[-1] if versions else None
 
     def prepare_folder(self, board: BoardId) -> Path:
-        """Create the folder of `board`, before the calibration is computed.
+        """Create the folder of `board`.
 
         Raises:
             MachineError: the folder cannot be created or written.
@@ -106,12 +106,29 @@ class CalibrationStore:
                 f"the folder {folder} cannot be created ({fault.strerror})",
                 "choose another folder with --out",
             ) from fault
-        if not os.access(folder, os.W_OK | os.X_OK):
+        _check_permission(folder)
+        return folder
+
+    def check_folder(self, board: BoardId) -> None:
+        """Check that the folder of `board` can be written, before the calibration is computed.
+
+        Nothing is created, so that a refused solve leaves no empty folder.
+
+        Raises:
+            MachineError: the folder cannot be created or written.
+        """
+        folder = self.folder_of(board)
+        if not isinstance(self.storage, Folder):
+            return
+        # Path.exists raises an exception below a folder that the user must not enter.
+        parents = (folder, *folder.parents)
+        existing = next(path for path in parents if os.path.exists(path))  # noqa: PTH110
+        if not existing.is_dir():
             raise MachineError(
-                f"the user has no permission to write to the folder {folder}",
+                f"the folder {folder} cannot be created, because {existing} is a file",
                 "choose another folder with --out",
             )
-        return folder
+        _check_permission(existing)
 
     def version_named(self, name: str) -> StoredVersion:
         """Return the version of that name in the store."""
@@ -182,6 +199,14 @@ class CalibrationStore:
             return str(board)
         digest = hashlib.sha256(board.encode()).hexdigest()
         return f"calib/{digest[:2]}/{digest[2:4]}/{board}"
+
+
+def _check_permission(folder: Path) -> None:
+    if not os.access(folder, os.W_OK | os.X_OK):
+        raise MachineError(
+            f"the user has no permission to write to the folder {folder}",
+            "choose another folder with --out",
+        )
 
 
 def create_store(location: Path | Storage) -> CalibrationStore:

@@ -103,7 +103,7 @@ def solve_and_store(
         UsageError: the recordings cannot be solved together.
         MachineError: the store cannot be written.
     """
-    store.prepare_folder(board)
+    store.check_folder(board)
     fit: GyroFit | None = None
     explanation: BoardExplanation | None = None
     unit_version: int | None = None

@@ -9,9 +9,10 @@ from pathlib import Path
 
 import pytest
 
-from gyrorig_protocol.errors import MachineError
+from gyrorig_protocol.errors import InputError, MachineError
 from gyrorig_protocol.identity import BoardId
 from gyrorig_solver.calibration import CalibrationStore
+from gyrorig_solver.pipeline import solve_board
 from gyrorig_solver.storage import write_file
 
 BOARD = BoardId("GY80-0007")
@@ -116,6 +117,13 @@ def test_file_in_the_place_of_the_folder_is_reported_first(tmp_path: Path) -> No
     (tmp_path / BOARD).write_text("in the way")
     with pytest.raises(MachineError, match="--out"):
         CalibrationStore(tmp_path).prepare_folder(BOARD)
+    with pytest.raises(MachineError, match="is a file"):
+        CalibrationStore(tmp_path).check_folder(BOARD)
+
+
+def test_a_check_of_the_folder_creates_nothing(tmp_path: Path) -> None:
+    CalibrationStore(tmp_path / "new").check_folder(BOARD)
+    assert names(tmp_path) == []
 
 
 def test_write_file_replaces_only_if_asked(tmp_path: Path) -> None:
@@ -126,3 +134,15 @@ def test_write_file_replaces_only_if_asked(tmp_path: Path) -> None:
     assert write_file(path, b"three", replace=True)
     assert path.read_bytes() == b"three"
     assert names(tmp_path) == ["report.html"]
+
+
+def test_a_refused_solve_leaves_no_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Before, the empty folder of the board stayed."""
+
+    def refuse(*_: object) -> None:
+        raise InputError("the recording has no motion", "record again")
+
+    monkeypatch.setattr(solve_board, "load_board", refuse)
+    with pytest.raises(InputError):
+        solve_board.solve_and_store(CalibrationStore(tmp_path / "new"), [], BOARD)
+    assert names(tmp_path) == []
