@@ -8,6 +8,7 @@ memory does not grow with the length.
 import csv
 import errno
 import os
+import shutil
 import tempfile
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
@@ -15,7 +16,7 @@ from dataclasses import dataclass
 from io import StringIO
 from itertools import islice
 from pathlib import Path
-from typing import TextIO
+from typing import BinaryIO, TextIO
 
 import numpy as np
 
@@ -110,6 +111,25 @@ def apply_to_table(
             if temporary is not None:
                 with suppress(FileNotFoundError):
                     temporary.unlink()
+    return summary
+
+
+def print_table(
+    calibration: Calibration, source: Path, target: BinaryIO, columns: TableColumns
+) -> TableSummary:
+    """Write `source` with columns of the true rates to an open stream.
+
+    Nothing is written if the table is refused.
+
+    Raises:
+        InputError, UsageError, MachineError: as `apply_to_table`.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        copy = Path(folder) / "table.csv"
+        summary = apply_to_table(calibration, source, copy, columns)
+        with copy.open("rb") as file:
+            shutil.copyfileobj(file, target)
+        target.flush()
     return summary
 
 

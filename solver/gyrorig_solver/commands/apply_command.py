@@ -1,6 +1,7 @@
 """`gyrorig apply`: correct the rates of a recording or a table with a calibration."""
 
 import math
+import sys
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -17,16 +18,20 @@ from gyrorig_solver.apply.corrected_table import (
     TableColumns,
     apply_to_table,
     open_table,
+    print_table,
 )
 from gyrorig_solver.commands.terminal import Terminal, choice_option, json_option, output_option
 
 _RECORDING_SUFFIXES = (".mcap", ".part")
+_STDOUT = Path("-")
 
 
 @click.command("apply")
 @click.argument("calibration", type=click.Path(path_type=Path, dir_okay=False))
 @click.argument("source", metavar="INPUT", type=click.Path(path_type=Path))
-@output_option("File to write; it must not exist.", required=True)
+@output_option(
+    "File to write; it must not exist. For a table, - is standard output.", required=True
+)
 @click.option(
     "--board", help="For a recording: board to correct.  [default: the board of the calibration]"
 )
@@ -90,6 +95,16 @@ def apply_command(
             "effect",
             "remove one of the two options",
         )
+    terminal.data_on_stdout = out == _STDOUT
+    if terminal.data_on_stdout and source.suffix in _RECORDING_SUFFIXES:
+        raise UsageError(
+            "a recording cannot be written to standard output", "name a file with the option -o"
+        )
+    if terminal.data_on_stdout and terminal.json:
+        raise UsageError(
+            "the table and the output of --json cannot both be on standard output",
+            "name a file with the option -o, or remove --json",
+        )
     correction = Calibration.load(calibration, frame, bias_only=bias_only)
     terminal.print_progress(f"applying {calibration.name} to {source.name}")
     if source.suffix in _RECORDING_SUFFIXES:
@@ -116,7 +131,10 @@ def apply_command(
     ]
     for words in not_applied:
         terminal.print_result(f"  remark: {words}")
-    terminal.print_result(f"  rates       rad/s, in {correction.frame} axes\n  written     {out}")
+    written = "standard output" if terminal.data_on_stdout else out
+    terminal.print_result(
+        f"  rates       rad/s, in {correction.frame} axes\n  written     {written}"
+    )
     about = {
         "board": correction.board,
         "version": correction.document.version,
@@ -200,7 +218,10 @@ def _apply_to_recording(
 def _apply_to_table(
     terminal: Terminal, correction: Calibration, source: Path, out: Path, columns: TableColumns
 ) -> dict[str, Any]:
-    result = apply_to_table(correction, source, out, columns)
+    if out == _STDOUT:
+        result = print_table(correction, source, sys.stdout.buffer, columns)
+    else:
+        result = apply_to_table(correction, source, out, columns)
     terminal.print_result(f"{source.name}: {result.rows} rows")
     if result.outside_range:
         terminal.print_result(_temperature_remark(correction, result.outside_range, "rows"))

@@ -62,6 +62,7 @@ class Terminal:
     traceback: bool = False
     quiet: bool = False
     verbose: bool = False
+    data_on_stdout: bool = False  # then the text of the result is on standard error
     _start_s: float = field(default_factory=time.monotonic)
     _lock: threading.RLock = field(default_factory=threading.RLock)
     _status: str = ""  # the text before the elapsed time
@@ -78,7 +79,7 @@ class Terminal:
         return time.monotonic() - self._start_s
 
     def print_result(self, text: str, verdict: str = "") -> None:
-        """Write text to standard output, unless `--json` was given.
+        """Write text to standard output, unless `--json` was given or data is there.
 
         Args:
             text: lines; control characters are escaped.
@@ -88,7 +89,7 @@ class Terminal:
             return
         first_line, separator, rest = printable(text).partition("\n")
         self.erase_elapsed_time()
-        click.echo(colour_verdict(first_line, verdict) + separator + rest)
+        click.echo(colour_verdict(first_line, verdict) + separator + rest, err=self.data_on_stdout)
 
     def print_json(self, result: Mapping[str, Any]) -> None:
         """Write the JSON object of `--json`; without that option nothing."""

@@ -231,3 +231,23 @@ def test_a_needed_temperature_column_is_required_and_used(
     assert cli.run([*base, "--temperature", "T", "-o", str(tmp_path / "c.csv")]) == 3
     assert "outside 20.0 to 40.0 degC" in capsys.readouterr().err
     assert not (tmp_path / "c.csv").exists()
+
+
+def test_a_dash_is_standard_output(
+    golden: Path, tmp_path: Path, capsys: Captured, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Before, `gyrorig apply` wrote a table to a file with the name `-`."""
+    monkeypatch.chdir(tmp_path)
+    table(tmp_path / "in.csv")
+    base = ["apply", str(golden), "in.csv", "--columns", "gx,gy,gz", "-o"]
+    assert cli.run([*base, "file.csv"]) == 0
+    capsys.readouterr()
+    before = set(tmp_path.iterdir())
+    assert cli.run([*base, "-"]) == 0
+    output = capsys.readouterr()
+    assert output.out == (tmp_path / "file.csv").read_text()
+    assert "30 rows" in output.err
+    assert cli.run([*base, "-", "--json"]) == 2
+    assert cli.run(["apply", str(golden), "drive.mcap", "-o", "-"]) == 2
+    assert "a recording cannot be written to standard output" in capsys.readouterr().err
+    assert set(tmp_path.iterdir()) == before
