@@ -226,6 +226,11 @@ class FindingsReference(_DocumentPart, frozen=True):
     causes: list[str]
     file: str
 
+    @property
+    def distinct_causes(self) -> list[str]:
+        """The causes for a text: one that has several axes is named once."""
+        return list(dict.fromkeys(self.causes))
+
 
 class ParameterUncertainty(_DocumentPart, frozen=True):
     """The standard uncertainty of one value: noise, causes that were not identified, and both."""

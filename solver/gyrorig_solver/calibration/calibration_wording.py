@@ -74,8 +74,8 @@ def _exclusion_sentence(calibration: CalibrationDocument) -> str:
         subject = "Rig errors below this limit are" if calibration.noise else "Rig errors are"
         return f"{subject} not excluded; run `gyrorig explain`."
     terms = calibration.solver.terms
-    fitted = ", ".join(n.replace("_", " ") for n in findings.causes if n in terms)
-    others = ", ".join(n.replace("_", " ") for n in findings.causes if n not in terms)
+    fitted = ", ".join(n.replace("_", " ") for n in findings.distinct_causes if n in terms)
+    others = ", ".join(n.replace("_", " ") for n in findings.distinct_causes if n not in terms)
     sentences = []
     if fitted:
         sentences.append(f"The fit includes the causes that a search found: {fitted}.")

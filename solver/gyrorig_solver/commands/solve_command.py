@@ -226,7 +226,7 @@ def _boards_solved_together(
 def _result_text(solved: StoredResult) -> str:
     findings, lines = solved.calibration.findings, [calibration_summary(solved.calibration)]
     if findings is not None:
-        causes = f": {', '.join(findings.causes)}" if findings.causes else ""
+        causes = f": {', '.join(findings.distinct_causes)}" if findings.causes else ""
         lines.append(f"  findings              {findings.verdict}{causes}")
         lines.append(f"                        {solved.path.with_name(findings.file)}")
     prior = solved.calibration.unit_prior

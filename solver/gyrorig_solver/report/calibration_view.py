@@ -198,8 +198,8 @@ def findings_text(calibration: CalibrationDocument) -> str:
     if findings.verdict == "adequate":
         words = "No error of the rig model was found"
     elif findings.causes:
-        fitted = [cause for cause in findings.causes if cause in calibration.solver.terms]
-        others = [cause for cause in findings.causes if cause not in fitted]
+        fitted = [cause for cause in findings.distinct_causes if cause in calibration.solver.terms]
+        others = [cause for cause in findings.distinct_causes if cause not in fitted]
         named = ". ".join(
             f"{start}: {', '.join(cause.replace('_', ' ') for cause in causes)}"
             for start, causes in (

@@ -197,6 +197,10 @@ def test_the_stated_limit_is_the_one_that_the_verdict_uses() -> None:
     ("causes", "sentence"),
     [
         (["sign_flip"], "The findings name sign flip, which the fit does not include."),
+        (
+            ["sign_flip", "sign_flip"],
+            "The findings name sign flip, which the fit does not include.",
+        ),
         (["bias", "sign_flip"], "The findings also name sign flip, which the fit does not"),
         ([], "A search for further causes found none in the rates."),
     ],
