@@ -68,6 +68,14 @@ class Folder:
                         status.st_mtime,
                     )
 
+    def dangling_links(self) -> Iterator[str]:
+        """Yield the names of links whose file cannot be reached; `list_files` omits them."""
+        for root, _folders, names in os.walk(self.path):
+            for name in names:
+                path = Path(root) / name
+                if _is_dangling(path):
+                    yield str(path.relative_to(self.path))
+
     def cache_folder(self) -> Path:
         """See `Storage`: the folder itself."""
         return self.path
@@ -80,9 +88,26 @@ class Folder:
     def local_copy(self, name: str) -> Iterator[Path]:
         """See `Storage`."""
         path = self.path / name
+        if _is_dangling(path):
+            raise InputError(
+                f"the file {path} cannot be read, because it is a link to a file that does not "
+                "exist or that the user must not read",
+                "correct the link or remove it",
+            )
         if not path.is_file():
             raise InputError(
                 f"the file {path} was removed while the program ran",
                 "run the command again",
             )
         yield path
+
+
+def _is_dangling(path: Path) -> bool:
+    """Return whether a name is a link whose file does not exist or cannot be reached."""
+    if not path.is_symlink():
+        return False
+    try:
+        path.stat()
+    except OSError:
+        return True
+    return False

@@ -194,3 +194,17 @@ def test_a_newer_store_is_refused_by_every_command_in_one_line(
     output = capsys.readouterr().err.strip()
     assert len(output.splitlines()) == 1
     assert "gyrorig/store/9" in output
+
+
+def test_a_link_without_its_file_is_rejected_once(folder: Path, recorded: list[Path]) -> None:
+    """Before, the batch ignored it and said nothing."""
+    (folder / "spool" / "gone.mcap").symlink_to(folder / "nowhere.mcap")
+    shutil.copy(recorded[0], folder / "spool" / "good.mcap")
+    summary = night(folder, workers=1)
+    assert summary.sessions_by_status == Counter(ok=1, rejected=1)
+    (row,) = summary.unsuccessful_rows
+    assert row.names == ["gone.mcap"]
+    assert "it is a link to a file that does not exist" in row.reason
+    second = night(folder, workers=1)
+    assert (second.done_before, second.finished) == (2, 0)
+    assert set(reasons_by_name(folder)) == {"gone.mcap", "good.mcap"}

@@ -106,6 +106,13 @@ def scan_spool(spool: Path | Storage) -> SpoolListing:
                 unfinished_stems.add(_session_stem(entry.name))
         elif entry.name.endswith(".mcap"):
             recordings.append(entry)
+    if isinstance(storage, Folder):
+        # A worker rejects each with its reason, as it does for a file that cannot be read.
+        recordings += [
+            StorageEntry(name, 0, "", 0.0)
+            for name in storage.dangling_links()
+            if name.endswith(".mcap") and SET_ASIDE_FOLDER not in name.split("/")[:-1]
+        ]
     is_empty = not (recordings or unfinished)
     if is_empty and isinstance(storage, Bucket) and not storage.exists():
         raise UsageError(
