@@ -12,7 +12,13 @@ import pytest
 from tests.support.board_fits import explain_recordings
 from tests.support.quick_cases import quick_cases
 
-from gyrorig_solver.discover import FitExplanation, cause_search
+from gyrorig_solver.discover import (
+    FitExplanation,
+    backward_elimination,
+    candidate_fits,
+    cause_search,
+    motion_space,
+)
 from gyrorig_solver.estimate import NuisanceProjector, ScoreStatistics, WhitenedSignals
 from gyrorig_solver.estimate.uncertainty_widening import reduced_chi2
 from gyrorig_solver.model.catalogue import catalogue
@@ -149,6 +155,7 @@ def test_a_finder_that_names_the_best_score_is_caught(
 ) -> None:
     """Without a level to pass, noise gets a name."""
     session = hidden(seed=7)
-    monkeypatch.setattr(cause_search, "FALSE_ALARM_RATE", np.inf)
+    for module in (backward_elimination, candidate_fits, cause_search, motion_space):
+        monkeypatch.setattr(module, "FALSE_ALARM_RATE", np.inf)
     monkeypatch.setattr(cause_search, "MAX_CAUSES", 1)
     assert explain_recordings([session.recording], session.board).findings.causes
