@@ -3,6 +3,7 @@
 import json
 import os
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -109,6 +110,19 @@ def test_what_is_no_job_is_put_aside_and_the_next_one_taken(tmp_path: Path) -> N
     assert Path("/etc/passwd").exists()
 
 
+def least_cpu_time_s(attempt: Callable[[], None]) -> float:
+    """Return the smallest processor time of three attempts.
+
+    The collector of garbage and the other tests on the same core add time to single attempts.
+    """
+    times_s = []
+    for _ in range(3):
+        begun_s = time.process_time()
+        attempt()
+        times_s.append(time.process_time() - begun_s)
+    return min(times_s)
+
+
 MANY_MOVES = "".join(
     f"  - move: {{pan_deg: {n % 90}.5, speed_deg_s: 40.0}}\n" for n in range(9_000)
 )
@@ -130,20 +144,24 @@ def test_a_job_that_takes_too_long_to_read_is_refused(
     assert "divide the program into several jobs" in refusal.value.remedy
     if is_wrapped:
         text = dump_yaml({"schema": "gyrorig/job/1", "program": text.decode()}).encode()
-    (tmp_path / "p.yaml").write_bytes(text)
-    begun_s = time.process_time()
-    assert queue.take_next() is None
-    assert time.process_time() - begun_s < 0.25  # a Raspberry Pi takes four times as long
+
+    def take() -> None:
+        (tmp_path / "p.yaml").write_bytes(text)
+        assert queue.take_next() is None
+
+    assert least_cpu_time_s(take) < 0.25  # a Raspberry Pi takes four times as long
     assert "the daemon takes at most" in reasons(tmp_path)[0]
 
 
 def test_the_largest_job_is_read_at_once(tmp_path: Path) -> None:
     text = LONG["many bytes"][:MAX_JOB_BYTES]
-    (tmp_path / "p.yaml").write_bytes(text[: text.rindex(b"\n") + 1])
     queue = JobQueue(tmp_path)
-    begun_s = time.process_time()
-    assert queue.take_next() is not None
-    assert time.process_time() - begun_s < 0.5  # of 3 s, after which the unit is halted
+
+    def take() -> None:
+        (tmp_path / "p.yaml").write_bytes(text[: text.rindex(b"\n") + 1])
+        assert queue.take_next() is not None
+
+    assert least_cpu_time_s(take) < 0.5  # of 3 s, after which the unit is halted
 
 
 def test_invalid_jobs_are_read_for_a_short_time_only(
