@@ -48,17 +48,13 @@ from gyrorig_solver.estimate.likelihood_fit import (
 from gyrorig_solver.estimate.linear.whitening import BASE_PARAMETERS
 from gyrorig_solver.estimate.motion_fit import fit_motion
 from gyrorig_solver.estimate.multi_board_fit import fit_boards_jointly
-from gyrorig_solver.estimate.noise.noise_model import (
+from gyrorig_solver.estimate.noise.noise_levels import (
     PRIOR_LOG_STD,
-    NoiseModel,
-    Periodogram,
-    Sampling,
-    Spectrum,
-    bin_spectrum,
     fit_noise_levels,
     nominal_levels,
-    unit_densities,
 )
+from gyrorig_solver.estimate.noise.noise_model import NoiseModel, Sampling, unit_densities
+from gyrorig_solver.estimate.noise.residual_spectrum import Periodogram, Spectrum, bin_spectrum
 from gyrorig_solver.estimate.nuisance_projector import (
     LawStatistics,
     NuisanceProjector,

@@ -16,11 +16,8 @@ from gyrorig_solver.estimate.fit_objective import residual_decrease
 from gyrorig_solver.estimate.fitted_term import FittedTerm
 from gyrorig_solver.estimate.initial_guess import solve_shared_gain
 from gyrorig_solver.estimate.linear.normal_equations import NormalEquations
-from gyrorig_solver.estimate.noise.noise_model import (
-    NoiseModel,
-    Sampling,
-    Spectrum,
-)
+from gyrorig_solver.estimate.noise.noise_model import NoiseModel, Sampling
+from gyrorig_solver.estimate.noise.residual_spectrum import Spectrum
 from gyrorig_solver.estimate.parameter_layout import GAIN_PARAMETERS, ParameterLayout
 from gyrorig_solver.estimate.session_fit import SessionFit
 from gyrorig_solver.estimate.session_noise import fit_session_noise

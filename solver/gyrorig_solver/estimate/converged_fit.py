@@ -10,7 +10,8 @@ from dataclasses import dataclass
 from gyrorig_solver.data import BoolArray, FloatArray
 from gyrorig_solver.estimate.fitted_term import FittedTerm
 from gyrorig_solver.estimate.information import PARAMETER_NAMES
-from gyrorig_solver.estimate.noise.noise_model import NoiseModel, Spectrum
+from gyrorig_solver.estimate.noise.noise_model import NoiseModel
+from gyrorig_solver.estimate.noise.residual_spectrum import Spectrum
 from gyrorig_solver.estimate.observability import ObservabilityAnalysis
 from gyrorig_solver.estimate.parameter_layout import GAIN_PARAMETERS
 from gyrorig_solver.estimate.session_fit import SessionFit

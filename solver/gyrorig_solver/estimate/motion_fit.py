@@ -347,6 +347,6 @@ def _diagnostics(solution: ConvergedFit) -> FitDiagnostics:
         moving=np.concatenate(session.moving),
         frequency_hz=spectrum.frequency_hz,
         spectrum=spectrum.density,
-        spectrum_model=solution.noises[-1].density_of_bins(spectrum),
+        spectrum_model=spectrum.expected_density(solution.noises[-1]),
         angle_rad=None if angles is None else angles(time_s - session.time_offset_s),
     )

@@ -298,10 +298,7 @@ class NuisanceProjector(NuisanceSpace):
                 spectrum = model.relative_std.divide_spectra(spectrum)
             weighted = idct(spectrum / std, axis=-1, norm="ortho")
             fill = gap_fill(model.used, segment.noise)
-            if fill is None:
-                signals.append(np.where(model.used[:, None], weighted.T, 0.0))
-            else:
-                signals.append(fill.adjoint(weighted).T)
+            signals.append((weighted * model.used if fill is None else fill.adjoint(weighted)).T)
         return signals
 
     def whiten(self, signals: Sequence[Sequence[Signals]]) -> WhitenedSignals:

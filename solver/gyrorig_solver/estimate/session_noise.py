@@ -15,14 +15,9 @@ from gyrorig_solver.estimate.noise.noise_estimation import (
     resting_blocks,
 )
 from gyrorig_solver.estimate.noise.noise_floor import DIFFERENCE_ORDER, add_noise_floor
-from gyrorig_solver.estimate.noise.noise_model import (
-    NoiseModel,
-    Periodogram,
-    Sampling,
-    Spectrum,
-    bin_spectrum,
-    fit_noise_levels,
-)
+from gyrorig_solver.estimate.noise.noise_levels import fit_noise_levels
+from gyrorig_solver.estimate.noise.noise_model import NoiseModel, Sampling
+from gyrorig_solver.estimate.noise.residual_spectrum import Periodogram, Spectrum, bin_spectrum
 from gyrorig_solver.estimate.noise.rest_noise import RestDifferences, limit_to_rest
 from gyrorig_solver.estimate.session_fit import SessionFit
 

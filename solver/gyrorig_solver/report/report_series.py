@@ -112,8 +112,8 @@ def series_of_explanation(explained: FitExplanation) -> ReportSeries:
         spectrum_extended=_density_at(
             base_spectrum.frequency_hz, extended_spectrum.frequency_hz, extended_spectrum.density
         ),
-        spectrum_model=extended.noises[-1].density_of_bins(
-            replace(base_spectrum, white_power=None)
+        spectrum_model=replace(base_spectrum, white_power=None).expected_density(
+            extended.noises[-1]
         ),
     )
 

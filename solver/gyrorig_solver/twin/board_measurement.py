@@ -155,7 +155,7 @@ def _relative_level_stds(noise: NoiseModel, spectrum: Spectrum) -> FloatArray:
         spectrum: the spectrum that they were fitted to.
     """
     unit_density = spectrum.unit_densities(noise.sampling)
-    total = noise.density_of_bins(spectrum)
+    total = spectrum.expected_density(noise)
     stds = np.empty((3, len(STATED_PROCESSES)))
     for axis in range(3):
         levels = np.append(noise.levels[axis], noise.floor[axis])

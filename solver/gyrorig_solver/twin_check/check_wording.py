@@ -185,14 +185,14 @@ def _similar_in_draws(cause: str) -> str:
     return "" if term is None else term.similar_in_draws
 
 
-def single_event_text(twin: Twin, board: str) -> str:
-    """Return the causes that a check does not repeat in another recording; empty if none."""
+def single_event_text(twin: Twin, board: str, is_held_out: bool) -> str:
+    """Return the causes of the twin that a recording does not repeat; empty if none."""
     events = [
         f"{cause.cause} in {cause.recording}"
         for cause in twin.causes
         if cause.recording is not None and cause.board in (None, board)
     ]
-    if not events:
+    if not is_held_out or not events:
         return ""
     return f"Single events of the fitted recordings are not repeated: {', '.join(events)}."
 
@@ -201,7 +201,7 @@ def lack_texts(twin: Twin, board: str, is_held_out: bool) -> list[str]:
     """Return what the simulation lacks, or may lack without a difference in the check."""
     texts = (
         unexplained_text(twin, board),
-        single_event_text(twin, board) if is_held_out else "",
+        single_event_text(twin, board, is_held_out),
         random_cause_text(twin, board),
     )
     return [text for text in texts if text]
@@ -241,9 +241,7 @@ def to_plain(check: TwinCheck) -> dict[str, Any]:
                 **_board_plain(board),
                 "unexplained": list(check.twin.boards[board.board].unexplained),
                 "not_visible": random_cause_text(check.twin, board.board),
-                "not_repeated": single_event_text(check.twin, board.board)
-                if board.is_held_out
-                else "",
+                "not_repeated": single_event_text(check.twin, board.board, board.is_held_out),
             }
             for board in check.boards
         ],

@@ -30,7 +30,8 @@ from gyrorig_solver.estimate import (
     Spectrum,
     WhitenedSignals,
 )
-from gyrorig_solver.estimate.noise.noise_model import Sampling, fit_noise_levels
+from gyrorig_solver.estimate.noise.noise_levels import fit_noise_levels
+from gyrorig_solver.estimate.noise.noise_model import Sampling
 from gyrorig_solver.model.catalogue import catalogue
 
 NEGLIGIBLE = 1e-9  # factor on a level: negligible, but its logarithm is finite

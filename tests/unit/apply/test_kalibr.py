@@ -12,7 +12,8 @@ from gyrorig_protocol.errors import InputError
 from gyrorig_solver.apply import FRAMES, Frame
 from gyrorig_solver.calibration import CalibrationDocument
 from gyrorig_solver.estimate import Periodogram, bin_spectrum, unit_densities
-from gyrorig_solver.estimate.noise.noise_model import Sampling, fit_noise_levels
+from gyrorig_solver.estimate.noise.noise_levels import fit_noise_levels
+from gyrorig_solver.estimate.noise.noise_model import Sampling
 from gyrorig_solver.export import ExportOptions, ExportSource, export_text
 
 DocumentFactory = Callable[..., CalibrationDocument]

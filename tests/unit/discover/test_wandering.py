@@ -93,7 +93,7 @@ def noise_of_flicker(
     (noise,), (spectrum,) = solution.noises, solution.spectra
     levels = np.stack([nominal_levels(float(axis[0])) for axis in noise.levels])
     levels[:, 1] *= flicker**2
-    density = replace(noise, levels=levels).density_of_bins(spectrum)
+    density = spectrum.expected_density(replace(noise, levels=levels))
     rng = np.random.default_rng(seed)
     spectra = [
         replace(

@@ -22,7 +22,8 @@ from gyrorig_solver.estimate.noise.missing_samples import (
     expected_densities,
     incomplete_densities,
 )
-from gyrorig_solver.estimate.noise.noise_model import Periodogram, Sampling
+from gyrorig_solver.estimate.noise.noise_model import Sampling
+from gyrorig_solver.estimate.noise.residual_spectrum import Periodogram
 from gyrorig_solver.estimate.uncertainty_widening import _whitened_power
 from gyrorig_solver.model import FACTOR_NAMES, factorise
 

@@ -8,16 +8,14 @@ from scipy.fft import idct
 
 from gyrorig_solver.data import FloatArray
 from gyrorig_solver.estimate.noise.noise_floor import DIFFERENCE_ORDER, add_noise_floor
+from gyrorig_solver.estimate.noise.noise_levels import fit_noise_levels, nominal_levels
 from gyrorig_solver.estimate.noise.noise_model import (
     NoiseModel,
-    Periodogram,
     Sampling,
     aliased_low_pass,
-    bin_spectrum,
     dct_frequencies_hz,
-    fit_noise_levels,
-    nominal_levels,
 )
+from gyrorig_solver.estimate.noise.residual_spectrum import Periodogram, bin_spectrum
 from gyrorig_solver.estimate.noise.rest_noise import RestDifferences, limit_to_rest
 
 COUNT, WHITE = 4000, 2.5e-7

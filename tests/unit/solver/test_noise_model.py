@@ -5,12 +5,8 @@ import pytest
 from scipy.fft import dct, idct
 
 from gyrorig_solver.estimate import NoiseModel, Periodogram, bin_spectrum
-from gyrorig_solver.estimate.noise.noise_model import (
-    Sampling,
-    aliased_low_pass,
-    dct_frequencies_hz,
-    fit_noise_levels,
-)
+from gyrorig_solver.estimate.noise.noise_levels import fit_noise_levels
+from gyrorig_solver.estimate.noise.noise_model import Sampling, aliased_low_pass, dct_frequencies_hz
 
 PLAIN = Sampling(100.0, 1, None, 0.0, False)
 

@@ -56,7 +56,7 @@ def test_a_single_event_is_stated_for_a_new_recording_only() -> None:
     (stated,) = lack_texts(twin, board, True)
     assert stated.endswith("not repeated: bias_step in fitted.mcap.")
     assert lack_texts(twin, board, False) == []
-    assert single_event_text(twin, "OTHER") == ""
+    assert single_event_text(twin, "OTHER", True) == ""
 
 
 @pytest.mark.parametrize(

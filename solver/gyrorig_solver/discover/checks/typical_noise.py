@@ -89,7 +89,7 @@ def whittle_log_evidence(solution: ConvergedFit, typical: bool = False) -> float
     for spectrum, noise in fits:
         shape = spectrum.unit_densities(noise.sampling)[1:3]
         level_shares = (
-            noise.levels[:, 1:3, None] * shape / noise.density_of_bins(spectrum).T[:, None]
+            noise.levels[:, 1:3, None] * shape / spectrum.expected_density(noise).T[:, None]
         )
         for axis in level_shares:
             information = 0.5 * (axis * spectrum.count) @ axis.T
@@ -122,7 +122,7 @@ def excess_walk(noise: NoiseModel) -> FloatArray:
 def _whittle(fits: Iterable[tuple[Spectrum, NoiseModel]]) -> float:
     total = 0.0
     for spectrum, noise in fits:
-        density = noise.density_of_bins(spectrum)
+        density = spectrum.expected_density(noise)
         misfit = np.log(density) + spectrum.density / density
         total -= 0.5 * float(np.sum(spectrum.count[:, None] * misfit))
         total -= 0.5 * sum(_prior_deviation_squared(axis) for axis in noise.levels)

@@ -29,9 +29,7 @@ from gyrorig_solver.estimate.attitude.block_segments import (
 from gyrorig_solver.estimate.attitude.segment_whitening import SegmentWhitener, build_whiteners
 from gyrorig_solver.estimate.cascade import fitted_derivatives, total_effect
 from gyrorig_solver.estimate.fitted_term import FittedTerm
-from gyrorig_solver.estimate.noise.noise_model import (
-    NoiseModel,
-)
+from gyrorig_solver.estimate.noise.noise_model import NoiseModel
 from gyrorig_solver.estimate.nuisance_basis import NuisancePrior
 from gyrorig_solver.estimate.nuisance_projector import NuisanceProjector, SignalFunction
 from gyrorig_solver.estimate.observability import (

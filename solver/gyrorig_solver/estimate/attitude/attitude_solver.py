@@ -16,7 +16,7 @@ from gyrorig_solver.estimate.attitude.attitude_matching import (
     coarse_lag_s,
 )
 from gyrorig_solver.estimate.attitude.linearised_model import MIN_SLOPE_SHARE, LinearisedModel
-from gyrorig_solver.estimate.noise.noise_model import Spectrum
+from gyrorig_solver.estimate.noise.residual_spectrum import Spectrum
 from gyrorig_solver.estimate.observability import analyse_scaled_observability, prior_std
 from gyrorig_solver.estimate.parameter_layout import (
     GAIN_PARAMETERS,

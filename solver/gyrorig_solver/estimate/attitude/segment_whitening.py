@@ -13,13 +13,9 @@ from scipy.fft import dct, idct
 from gyrorig_solver.data import FloatArray
 from gyrorig_solver.estimate.attitude.attitude_solver import smooth_power
 from gyrorig_solver.estimate.attitude.block_segments import BlockSegment
-from gyrorig_solver.estimate.noise.noise_model import (
-    NoiseModel,
-    Periodogram,
-    Sampling,
-    bin_spectrum,
-    fit_noise_levels,
-)
+from gyrorig_solver.estimate.noise.noise_levels import fit_noise_levels
+from gyrorig_solver.estimate.noise.noise_model import NoiseModel, Sampling
+from gyrorig_solver.estimate.noise.residual_spectrum import Periodogram, bin_spectrum
 
 SCATTER_WINDOW_S, MIN_SCATTER_VALUES = (
     5.0,

@@ -21,9 +21,7 @@ import numpy as np
 from scipy.fft import irfft, rfft
 
 from gyrorig_solver.data import BoolArray, FloatArray
-from gyrorig_solver.estimate.noise.noise_model import Sampling, unit_densities
-
-PROCESSES = 5  # N, B, K, D, and noise that is equal at all frequencies
+from gyrorig_solver.estimate.noise.noise_model import PROCESSES, Sampling, process_densities
 
 
 def has_gaps(used: BoolArray) -> bool:
@@ -99,7 +97,7 @@ def _unit_covariances(count: int, sampling: Sampling) -> FloatArray:
     It belongs to a series that is reflected at both ends, and so has twice the length.
     """
     frequency_hz = np.linspace(0.0, sampling.rate_hz / 2.0, count + 1, dtype=np.float64)
-    densities = np.vstack([unit_densities(frequency_hz, sampling), np.ones(count + 1)])
+    densities = process_densities(frequency_hz, sampling)
     covariances = irfft(densities * sampling.rate_hz / 2.0, 2 * count, axis=1)
     return np.asarray(covariances[:, : count + 1], dtype=np.float64)
 

@@ -25,11 +25,7 @@ from scipy.optimize import nnls
 
 from gyrorig_solver.data import BoolArray, FloatArray
 from gyrorig_solver.estimate.noise.noise_estimation import SETTLING_TIME_S
-from gyrorig_solver.estimate.noise.noise_model import (
-    NoiseModel,
-    Sampling,
-    dct_frequencies_hz,
-)
+from gyrorig_solver.estimate.noise.noise_model import NoiseModel, Sampling, dct_frequencies_hz
 from gyrorig_solver.numerics import normal_quantile
 
 FALSE_ALARM = 1e-4  # probability of an excess in a recording without noise in motion

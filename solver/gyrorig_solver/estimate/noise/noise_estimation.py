@@ -11,7 +11,8 @@ import numpy as np
 
 from gyrorig_solver.data import BoolArray, FloatArray
 from gyrorig_solver.estimate.noise.missing_samples import expected_densities
-from gyrorig_solver.estimate.noise.noise_model import Periodogram, Sampling
+from gyrorig_solver.estimate.noise.noise_model import Sampling
+from gyrorig_solver.estimate.noise.residual_spectrum import Periodogram
 from gyrorig_solver.estimate.series import PART_BLOCKS, fast_dct_length
 
 MIN_SPECTRUM_BLOCKS = 256  # blocks

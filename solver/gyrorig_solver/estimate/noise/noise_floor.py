@@ -17,12 +17,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from gyrorig_solver.estimate.noise.noise_model import (
-    NoiseModel,
-    Spectrum,
-    fit_axis_levels,
-    quantum_density,
-)
+from gyrorig_solver.estimate.noise.noise_levels import fit_axis_levels
+from gyrorig_solver.estimate.noise.noise_model import NoiseModel, quantum_density
+from gyrorig_solver.estimate.noise.residual_spectrum import Spectrum
 from gyrorig_solver.estimate.noise.rest_noise import MIN_PAIRS, RestDifferences
 
 # Chi-square 16 for three sizes: one false floor in 900 recordings.
@@ -93,6 +90,6 @@ def _fit_with_floor(noise: NoiseModel, spectrum: Spectrum, axis: int) -> NoiseMo
 
 def _log_likelihood(spectrum: Spectrum, noise: NoiseModel) -> float:
     """Return Whittle's log-likelihood of the spectra of all axes."""
-    density = noise.density_of_bins(spectrum)
+    density = spectrum.expected_density(noise)
     misfit = np.log(density) + spectrum.density / density
     return -0.5 * float(np.sum(spectrum.count @ misfit))

@@ -14,10 +14,10 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from gyrorig_solver.data import BoolArray, FloatArray
+from gyrorig_solver.estimate.noise.noise_levels import nominal_levels
 from gyrorig_solver.estimate.noise.noise_model import (
     NoiseModel,
     Sampling,
-    nominal_levels,
     quantum_density,
     unit_densities,
 )

@@ -22,16 +22,18 @@ import numpy as np
 from scipy.fft import dct
 
 from gyrorig_solver.data import FloatArray
-from gyrorig_solver.estimate.noise.noise_model import (
+from gyrorig_solver.estimate.noise.noise_levels import (
     PRIOR_LOG_STD,
-    NoiseModel,
-    Sampling,
-    Spectrum,
-    dct_frequencies_hz,
     fit_noise_levels,
     nominal_levels,
+)
+from gyrorig_solver.estimate.noise.noise_model import (
+    NoiseModel,
+    Sampling,
+    dct_frequencies_hz,
     unit_densities,
 )
+from gyrorig_solver.estimate.noise.residual_spectrum import Spectrum
 
 NOISE_ITERATIONS = 8
 LEVEL_TOLERANCE = 0.02  # relative change of the levels
