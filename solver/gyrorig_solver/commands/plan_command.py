@@ -41,6 +41,7 @@ from gyrorig_solver.plan import (
 )
 from gyrorig_solver.plan.criterion import CRITERIA, Criterion, cost
 from gyrorig_solver.plan.detectability_table import (
+    DETECTION_TEXT,
     causes_notes,
     causes_summary,
     causes_table,
@@ -361,8 +362,7 @@ def _prediction_lines(
 
 def _print_all_causes(terminal: Terminal, name: str, outlook: DetectabilityReport) -> None:
     terminal.print_result(
-        f"{name}: detectable sizes of causes (power 80 %, false alarms 1 %)\n"
-        f"{causes_table(outlook)}"
+        f"{name}: detectable sizes of causes ({DETECTION_TEXT})\n{causes_table(outlook)}"
     )
     for line in causes_notes(outlook):
         terminal.print_result(f"  {line}")

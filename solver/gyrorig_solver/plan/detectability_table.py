@@ -10,6 +10,7 @@ from itertools import groupby
 from typing import Any
 
 from gyrorig_solver.data.text_table import format_table
+from gyrorig_solver.discover.score_tests import DETECTION_POWER, FALSE_ALARM_RATE
 from gyrorig_solver.model import cause_display_unit, plural
 from gyrorig_solver.plan.detectability import (
     CauseDetectability,
@@ -17,6 +18,8 @@ from gyrorig_solver.plan.detectability import (
     DetectabilityReport,
 )
 
+# What a detectable size means.
+DETECTION_TEXT = f"power {100.0 * DETECTION_POWER:g} %, false alarms {100.0 * FALSE_ALARM_RATE:g} %"
 HEADER = ("cause", "detectable", "typical", "unit", "absorbed", "bias, sigma", "of")
 
 
@@ -31,9 +34,8 @@ def causes_summary(report: DetectabilityReport, program: str, causes: int) -> li
     groups = _group_by_cause(report)
     detectable = sum(any(place.is_detectable for place in group) for _, group in groups)
     lines = [
-        f"{program} can detect {detectable} of {plural(len(groups), 'cause')} (power 80 %, false "
-        f"alarms 1 %); {plural(len(report.confusable_pairs), 'pair')} of causes can be confused. "
-        "All: --details"
+        f"{program} can detect {detectable} of {plural(len(groups), 'cause')} ({DETECTION_TEXT}); "
+        f"{plural(len(report.confusable_pairs), 'pair')} of causes can be confused. All: --details"
     ]
     for cause, group in groups[:causes]:
         _, size, typical, unit, _, bias, parameter = _row(group)

@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from gyrorig_solver.discover.score_tests import FALSE_ALARM_RATE
 from gyrorig_solver.findings import (
     UNEXPLAINED_FIGURE,
     CauseEntry,
@@ -77,6 +78,7 @@ def findings_view(document: FindingsDocument, figures: Mapping[str, str]) -> dic
         "unseen": [_undetected_row(entry) for entry in document.minimal_detectable],
         "unseen_title": "Detection limits of "
         + plural(len(document.minimal_detectable), "cause and axis", "causes and axes"),
+        "false_alarms": f"{100.0 * FALSE_ALARM_RATE:g} %",
         "hidden": _untestable_rows(document),
         "hidden_title": plural(len({entry.cause for entry in document.not_testable}), "cause"),
         "raw": document.raw,
