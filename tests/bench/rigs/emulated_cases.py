@@ -99,7 +99,7 @@ def case_line(row: dict[str, Any]) -> str:
     """Return one line of the table."""
     if "failed" in row:
         return f"| {row['case']} | - | {row['failed']} | - | - | - |"
-    named = ", ".join([*row["named"], *row["terms"]]) or "-"
+    named = ", ".join(dict.fromkeys([*row["named"], *row["terms"]])) or "-"
     outside = int(np.sum(np.abs(sigmas(row, "std")) > K_95))
     cells = [row["case"], row["verdict"], _largest(row, "std"), f"{outside} of 13"]
     return "| " + " | ".join([*cells, _largest(row, "total"), named]) + " |"
