@@ -123,7 +123,7 @@ class BoardData:
                 board's settings differ.
         """
         check_given_once(self.recordings)
-        check_same_board(self.names, self.samples)
+        check_same_board(self.board, self.names, [samples.metadata for samples in self.samples])
 
 
 def load_board(

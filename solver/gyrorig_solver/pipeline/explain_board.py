@@ -31,6 +31,7 @@ from gyrorig_solver.pipeline.board_data import BoardData, check_given_once, has_
 from gyrorig_solver.pipeline.board_results import BoardExplanation
 from gyrorig_solver.pipeline.joint_data import JointData, load_jointly
 from gyrorig_solver.pipeline.motion_explanation import explain_motion
+from gyrorig_solver.pipeline.one_board import check_same_board
 from gyrorig_solver.pipeline.prepare_board import fit_base
 from gyrorig_solver.pipeline.recording_agreement import require_agreement
 from gyrorig_solver.plan import program_text, write_new_file
@@ -66,7 +67,6 @@ def explain_boards(
         shared_recordings = recordings[boards[0]]
         if len(boards) > 1 and has_unit(shared_recordings):
             try:
-                _check_held_out(shared_recordings, held_out)
                 joint_data = load_jointly(shared_recordings, boards, allow_contradiction)
             except GyrorigError as fault:
                 yield from ((board, fault) for board in boards)
@@ -101,9 +101,9 @@ def explain_data(data: BoardData, held_out: Recording | None = None) -> BoardExp
     Raises:
         InputError: there is no reference.
         UsageError: the recordings cannot be fitted together or contradict each other, or
-            `held_out` is one of them.
+            `held_out` is one of them or is of another board.
     """
-    _check_held_out(data.recordings, held_out)
+    _check_held_out(data, held_out)
     data = require_agreement(data)
     return data.kind.explain(data, held_out)
 
@@ -124,6 +124,7 @@ def explain_unit_boards(
     }
     for board, data in joint_data.boards.items():
         try:
+            _check_held_out(data, held_out)
             bases[board] = fit_base(data)
         except GyrorigError as fault:
             explanations[BoardId(board)] = fault
@@ -137,9 +138,18 @@ def explain_unit_boards(
     return explanations
 
 
-def _check_held_out(recordings: Sequence[Recording], held_out: Recording | None) -> None:
-    if held_out is not None:
-        check_given_once([*recordings, held_out])
+def _check_held_out(data: BoardData, held_out: Recording | None) -> None:
+    """Refuse a held-out recording that is one of the fitted ones, or of another board."""
+    if held_out is None:
+        return
+    check_given_once([*data.recordings, held_out])
+    metadata = held_out.metadata.get(f"gyrorig.board.{data.board}")
+    if metadata is not None:  # the reader of its samples refuses a recording without the board
+        check_same_board(
+            data.board,
+            [*data.names, held_out.path.name],
+            [*(samples.metadata for samples in data.samples), metadata],
+        )
 
 
 def write_explanation(

@@ -14,7 +14,6 @@ from gyrorig_solver.calibration.calibration_document import (
     BoardRecord,
     are_different,
 )
-from gyrorig_solver.data.samples import GyroSamples
 
 IDENTITIES = ("uid", "sensor")
 # Settings that the fit uses: a setting in only one of two recordings is a difference.
@@ -24,25 +23,28 @@ HASH = "config_hash"
 OTHER_SETTINGS = ("odr_hz", HASH)
 
 
-def check_same_board(names: Sequence[str], samples: Sequence[GyroSamples]) -> None:
+def check_same_board(
+    board: str, names: Sequence[str], metadata: Sequence[Mapping[str, str]]
+) -> None:
     """Check that recordings are of one board with the same settings.
 
     A uid or a sensor that is not known can be that of any board.
 
     Args:
+        board: its name.
         names: of the recordings.
-        samples: of the board in each of them.
+        metadata: of the board in each of them.
 
     Raises:
         UsageError: uid, sensor or a setting differs.
     """
     for key in IDENTITIES:
         seen: tuple[str, str] | None = None  # the first known identity, and its recording
-        for name, recorded in zip(names, samples, strict=True):
-            identity = recorded.metadata.get(key, "")
+        for name, entries in zip(names, metadata, strict=True):
+            identity = entries.get(key, "")
             if seen is not None and are_different(seen[0], identity):
                 raise UsageError(
-                    f"the {key} of board {recorded.board} is {seen[0]:.40} in the recording "
+                    f"the {key} of board {board} is {seen[0]:.40} in the recording "
                     f"{seen[1]}, and {identity:.40} in {name}, so two boards have the same name",
                     "solve the recordings of each board separately, and give one of the two boards "
                     "another `id` in its rig file",
@@ -50,7 +52,7 @@ def check_same_board(names: Sequence[str], samples: Sequence[GyroSamples]) -> No
             if seen is None and identity not in UNKNOWN_IDENTITIES:
                 seen = identity, name
     for key in (*FITTED_SETTINGS, *OTHER_SETTINGS):
-        _check_setting(key, names, samples)
+        _check_setting(key, board, names, metadata)
 
 
 def check_stored_board(stored: BoardRecord, recordings: Sequence[Recording]) -> None:
@@ -108,15 +110,17 @@ def _find_other_identity(
     return None
 
 
-def _check_setting(key: str, names: Sequence[str], samples: Sequence[GyroSamples]) -> None:
-    texts = [recorded.metadata.get(key) for recorded in samples]
+def _check_setting(
+    key: str, board: str, names: Sequence[str], metadata: Sequence[Mapping[str, str]]
+) -> None:
+    texts = [entries.get(key) for entries in metadata]
     given = [k for k, text in enumerate(texts) if text or key in FITTED_SETTINGS]
     for k in given[1:]:
         first, other = texts[given[0]], texts[k]
         is_number = key != HASH  # a hash of digits such as 1e400 is no number
         if _as_number(first) != _as_number(other) if is_number else first != other:
             raise UsageError(
-                f"the setting {key} of board {samples[k].board} differs: it is "
+                f"the setting {key} of board {board} differs: it is "
                 f"{first or 'not given'} in the recording {names[given[0]]}, and "
                 f"{other or 'not given'} in {names[k]}",
                 "solve these two recordings separately",

@@ -22,7 +22,6 @@ from gyrorig_protocol.recording.reader import read_recording
 from gyrorig_protocol.recording.recording_names import distinct_names
 from gyrorig_solver.calibration.calibration_document import BoardRecord, BoardSettings
 from gyrorig_solver.cli import run
-from gyrorig_solver.data.samples import GyroSamples
 from gyrorig_solver.pipeline.board_data import load_board
 from gyrorig_solver.pipeline.one_board import check_same_board, check_stored_board
 from gyrorig_solver.pipeline.recording_agreement import find_disagreement
@@ -116,10 +115,6 @@ def test_equal_names_get_as_many_folders_as_they_need(folder: Path) -> None:
     assert distinct_names([recording, recording])[0].endswith("session.mcap")
 
 
-def _samples(**metadata: str) -> GyroSamples:
-    return replace(plain_samples(np.zeros(1), np.zeros((1, 3))), metadata=metadata)
-
-
 @pytest.mark.parametrize(
     ("key", "values"),
     [
@@ -135,21 +130,30 @@ def _samples(**metadata: str) -> GyroSamples:
 def test_what_differs_between_recordings_is_refused(key: str, values: tuple[str, ...]) -> None:
     names = [f"{k}.mcap" for k in range(len(values))]
     with pytest.raises(UsageError, match=rf"the (setting )?{key} of board T .*0\.mcap"):
-        check_same_board(names, [_samples(**{key: value}) for value in values])
+        check_same_board("T", names, [{key: value} for value in values])
 
 
 def test_what_is_not_known_is_no_difference() -> None:
     known = {"uid": "A", "sensor": "ICM-20948", "odr_hz": "100", "config_hash": "3f"}
     unknown = {"uid": "unknown", "sensor": "unknown", "odr_hz": ""}
-    check_same_board(
-        ["a", "b", "c"], [_samples(**unknown), _samples(**known), _samples(**known | unknown)]
-    )
-    check_same_board(["a", "b"], [_samples(odr_hz="100"), _samples(odr_hz="100.0")])
+    check_same_board("T", ["a", "b", "c"], [unknown, known, known | unknown])
+    check_same_board("T", ["a", "b"], [{"odr_hz": "100"}, {"odr_hz": "100.0"}])
 
 
 def test_recordings_with_two_uids_are_refused(tmp_path: Path, capsys: Captured) -> None:
     paths = [attitudes(tmp_path / f"{k}.mcap", GYRO, k, uid=f"U{k}") for k in (1, 2)]
     command = ["solve", *map(str, paths), "--out", str(tmp_path / "out"), "--allow-contradiction"]
+    assert run(command) == 2
+    assert (
+        "the uid of board gyro-1 is U1 in the recording 1.mcap, and U2" in capsys.readouterr().err
+    )
+
+
+def test_causes_are_not_tested_on_a_recording_of_another_board(
+    tmp_path: Path, capsys: Captured
+) -> None:
+    fitted, other = (attitudes(tmp_path / f"{k}.mcap", GYRO, k, uid=f"U{k}") for k in (1, 2))
+    command = ["explain", str(fitted), "--held-out", str(other), "--out", str(tmp_path / "out")]
     assert run(command) == 2
     assert (
         "the uid of board gyro-1 is U1 in the recording 1.mcap, and U2" in capsys.readouterr().err
