@@ -12,6 +12,7 @@ text; where a decision needs a detail, it is a field.
 """
 
 import re
+from typing import Any
 
 _COMMAND_WORDS = frozenset({"gyrorig", "gyrorigd", "sudo", "pip", "make", "systemctl", "apt"})
 _PLAIN_WORD = re.compile(r"[a-z]+(?=[ ,;:]|\.?(?: |$))")
@@ -45,6 +46,18 @@ class GyrorigError(Exception):
         super().__init__(f"{problem.rstrip('.')}. {sentence(remedy)}" if remedy else problem)
         self.problem = problem
         self.remedy = remedy
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Let a process send the error to another one, whatever its constructor takes."""
+        return _restore_error, (type(self), self.args, self.__dict__)
+
+
+def _restore_error(
+    kind: type[GyrorigError], arguments: tuple[str, ...], fields: dict[str, Any]
+) -> GyrorigError:
+    error = kind.__new__(kind, *arguments)
+    error.__dict__.update(fields)
+    return error
 
 
 class UsageError(GyrorigError):

@@ -201,7 +201,7 @@ def fix_noise() -> Iterator[None]:
 
     with (
         patch("gyrorig_solver.estimate.session_noise.fit_noise_levels", make_fixed_noise),
-        patch("gyrorig_solver.estimate.session_noise.limit_to_rest", lambda noise, _: noise),
+        patch("gyrorig_solver.estimate.session_noise.limit_to_rest", lambda noise, *_: noise),
         patch.object(SessionFit, "update_motion_noise", lambda *_: False),
     ):
         yield

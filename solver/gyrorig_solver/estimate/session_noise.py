@@ -92,6 +92,7 @@ def fit_session_noise(
     high_differences = RestDifferences.of(residuals, at_rest, DIFFERENCE_ORDER)
     with_floor = add_noise_floor(noise, spectrum, high_differences)
     # A floor is a part of the noise at rest. Without it, the white noise at rest seems too large.
-    if limit_to_rest(with_floor, differences) is not with_floor:
-        return SessionNoise(limit_to_rest(noise, differences), spectrum, source)
+    if limit_to_rest(with_floor, differences, initial_levels) is not with_floor:
+        limited = limit_to_rest(noise, differences, initial_levels)
+        return SessionNoise(limited, spectrum, source)
     return SessionNoise(with_floor, spectrum, source)

@@ -166,3 +166,9 @@ def test_a_series_in_parts_gives_nearly_the_same(
     assert np.all(np.abs(fit.estimate - noisy_fit.estimate)[:9] < 0.5 * theirs[:9])
     assert np.allclose(std[:9], theirs[:9], rtol=0.05)
     assert np.all(std[9:12] >= theirs[9:12])
+
+
+def test_noise_at_the_limit_of_contradiction_converges() -> None:
+    """In this run, the levels of one axis alternated between limited and not limited."""
+    case = Case("twice", "planned-75.yaml", number=1, motor_noise=MotorNoise(2.0))
+    assert solve_case(case, 40).converged

@@ -48,6 +48,22 @@ def test_white_noise_that_became_flicker_is_restored(residual: np.ndarray) -> No
     assert stated.mean() == pytest.approx(density[band].mean(), rel=0.1)
 
 
+def test_a_limited_axis_is_released_at_a_smaller_ratio(residual: np.ndarray) -> None:
+    """With one limit, a fit whose ratio was near it alternated between two sets of levels."""
+    at_rest = differences(residual, slice(0, N // 2))
+    levels = np.tile(nominal_levels(WHITE), (3, 1))
+    levels[2] *= 4.1
+    limited = limit_to_rest(NoiseModel(levels, SAMPLING), at_rest)
+    assert limited.levels[2, 0] == pytest.approx(WHITE, rel=0.05)
+    levels[2] *= 3.0 / 4.1
+    noise = NoiseModel(levels, SAMPLING)
+    assert limit_to_rest(noise, at_rest) is noise
+    again = limit_to_rest(noise, at_rest, limited.levels)
+    assert np.array_equal(again.levels, limited.levels)
+    levels[2] *= 1.5 / 3.0
+    assert limit_to_rest(noise, at_rest, limited.levels) is noise
+
+
 def test_a_short_rest_decides_nothing(residual: np.ndarray) -> None:
     levels = np.full((3, 4), 1e-10)
     noise = NoiseModel(levels, SAMPLING)

@@ -1,5 +1,6 @@
 """The trust-region iteration: gain ratio, damping, and the parameter that still moves."""
 
+import pickle
 from dataclasses import dataclass
 
 import numpy as np
@@ -142,6 +143,16 @@ def test_refusal_is_one_line_with_the_parameter_and_the_remedy() -> None:
         "the fit did not converge in 40 steps, and base_speed_jump.speed.pan still moves by 3.2 "
         "standard deviations. Leave out a cause."
     )
+
+
+def test_an_error_reaches_another_process() -> None:
+    """An error that cannot be read there ends the whole pool of workers."""
+    refusal = NotConvergedError(Convergence(False, 40, 7.0, "gap.pan", 3.25), "leave out a cause")
+    received = pickle.loads(pickle.dumps(refusal))  # noqa: S301 - our own bytes
+    assert type(received) is NotConvergedError
+    assert str(received) == str(refusal)
+    assert (received.problem, received.remedy) == (refusal.problem, refusal.remedy)
+    assert (received.moving, received.exit_code) == ("gap.pan", 3)
 
 
 @dataclass

@@ -25,6 +25,9 @@ from gyrorig_solver.estimate.noise.noise_model import (
 MIN_PAIRS = 200  # of successive samples at rest
 # larger of the ratios of the fitted white noise and that at rest, and its inverse
 MAX_POWER_RATIO = 4.0
+# The same for an axis that the previous step of a fit has limited. If both were equal, a ratio near
+# the limit could make the fit alternate between two sets of levels without an end.
+RELEASE_POWER_RATIO = 2.0
 FREQUENCY_BINS = 500
 
 
@@ -68,7 +71,9 @@ class RestDifferences:
         return self.sum_of_squares / max(self.count, 1)
 
 
-def limit_to_rest(noise: NoiseModel, differences: RestDifferences) -> NoiseModel:
+def limit_to_rest(
+    noise: NoiseModel, differences: RestDifferences, previous_levels: FloatArray | None = None
+) -> NoiseModel:
     """Return the noise; if it contradicts the noise at rest, use the levels of an ordinary part.
 
     An axis is contradictory if its fitted white noise differs from that at rest by more than
@@ -78,11 +83,11 @@ def limit_to_rest(noise: NoiseModel, differences: RestDifferences) -> NoiseModel
     Args:
         noise: fitted to the residual.
         differences: at rest.
+        previous_levels: (3, 4), of the previous step of the same fit.
     """
     if differences.count < MIN_PAIRS or noise.sampling.differentiated:
         return noise
-    nominal = nominal_levels(1.0)
-    nominal[3] = 0.0  # only for attitudes
+    nominal = _ordinary_levels()
     rate_hz = noise.sampling.rate_hz
     quantum_power = quantum_density(noise.sampling) * rate_hz
     flat_power = noise.floor_and_rounding * rate_hz * (1.0 + noise.incomplete[4])
@@ -90,11 +95,26 @@ def limit_to_rest(noise: NoiseModel, differences: RestDifferences) -> NoiseModel
     unit_power = float(nominal @ unit_powers)
     white_at_rest = np.maximum(differences.power - flat_power, quantum_power) / unit_power
     log_ratio = np.log(np.maximum(noise.levels[:, 0], 1e-300) / white_at_rest)
-    contradicts = np.abs(log_ratio) > np.log(MAX_POWER_RATIO)
+    max_ratio = np.where(_are_limited(previous_levels), RELEASE_POWER_RATIO, MAX_POWER_RATIO)
+    contradicts = np.abs(log_ratio) > np.log(max_ratio)
     if not contradicts.any():
         return noise
     levels = np.where(contradicts[:, None], white_at_rest[:, None] * nominal, noise.levels)
     return replace(noise, levels=levels)
+
+
+def _ordinary_levels() -> FloatArray:
+    """Return the levels of an ordinary part with the white noise 1, shape (4,)."""
+    levels = nominal_levels(1.0)
+    levels[3] = 0.0  # only for attitudes
+    return levels
+
+
+def _are_limited(levels: FloatArray | None) -> BoolArray:
+    """Return which axes have levels that `limit_to_rest` has set, shape (3,)."""
+    if levels is None:
+        return np.zeros(3, np.bool_)
+    return np.asarray(np.all(levels == levels[:, :1] * _ordinary_levels(), axis=1))
 
 
 def _unit_difference_power(sampling: Sampling) -> FloatArray:
