@@ -1,6 +1,7 @@
 """Where tests find what is not committed: measured data and the contracts."""
 
 import os
+import signal
 import sys
 from pathlib import Path
 
@@ -17,6 +18,10 @@ for library in ("OPENBLAS", "OMP", "MKL"):
 # that the tests start, compiles the same modules again.
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 sys.dont_write_bytecode = False
+
+# A shell that starts the tests in the background lets them and their processes ignore Ctrl-C.
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 # An example's time says how busy a machine is, and nothing of what is tested.
 settings.register_profile(

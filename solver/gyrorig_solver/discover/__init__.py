@@ -18,9 +18,11 @@ from gyrorig_solver.discover.cause_findings import (
 from gyrorig_solver.discover.fit_criticism import FitCriticism, criticise_fit
 from gyrorig_solver.discover.fit_explanation import explain_fit
 from gyrorig_solver.discover.motion_space import MotionFitSpace
+from gyrorig_solver.discover.score_tests import FALSE_ALARM_RATE
 
 __all__ = [
     "CALIBRATION_PARAMETERS",
+    "FALSE_ALARM_RATE",
     "AttitudeFitSpace",
     "CalibrationValues",
     "CauseFindings",

@@ -10,7 +10,8 @@ from itertools import groupby
 from typing import Any
 
 from gyrorig_solver.data.text_table import format_table
-from gyrorig_solver.discover.score_tests import DETECTION_POWER, FALSE_ALARM_RATE
+from gyrorig_solver.discover import FALSE_ALARM_RATE
+from gyrorig_solver.discover.score_tests import DETECTION_POWER
 from gyrorig_solver.model import cause_display_unit, plural
 from gyrorig_solver.plan.detectability import (
     CauseDetectability,

@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from gyrorig_solver.discover.score_tests import FALSE_ALARM_RATE
+from gyrorig_solver.discover import FALSE_ALARM_RATE
 from gyrorig_solver.findings import (
     UNEXPLAINED_FIGURE,
     CauseEntry,

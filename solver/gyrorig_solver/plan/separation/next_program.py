@@ -16,9 +16,8 @@ import numpy as np
 from scipy import special
 
 from gyrorig_protocol.program import MotionProgram, PtuSettings
-from gyrorig_solver.discover import FitExplanation
+from gyrorig_solver.discover import FALSE_ALARM_RATE, FitExplanation
 from gyrorig_solver.discover.cause_ranking import nats_for_sole_name
-from gyrorig_solver.discover.score_tests import FALSE_ALARM_RATE
 from gyrorig_solver.discover.testable_terms import count_tests
 from gyrorig_solver.estimate import ConvergedFit, SessionFit
 from gyrorig_solver.model import term_label
