@@ -4,7 +4,8 @@ Theory of operation. The clock advances only in `read`: to the next arrival at t
 deadline. Bytes that leave a device get their arrival time from the latency model; arrivals wait
 in a heap. Before one is delivered, every device is asked for the bytes that have left its line
 until then, because they could arrive earlier. The time of a device's next output changes only when
-a device receives bytes, or when its output is collected, so it is computed once in between.
+it receives bytes, when its output is collected, or when the stage moves in another way. In between,
+the first output of all devices is known, and a read does not depend on their number.
 """
 
 import heapq
@@ -13,7 +14,7 @@ from gyrorig_daemon.emulator.emulated_rig import EmulatedRig
 from gyrorig_daemon.links.ports.port_hub import Chunk, PortChange, WriteTimes
 from gyrorig_protocol.errors import DeviceError
 
-NEVER_NS = 1 << 62
+NEVER_NS = 1 << 63  # later than any deadline
 REOPEN_TIME_NS = 10_000_000
 
 _Arrival = tuple[int, int, str, bytes, PortChange | None]
@@ -33,7 +34,10 @@ class VirtualHub:
         self._closed = False
         self._unplugged: dict[str, list[tuple[int, int]]] = {port: [] for port in self._devices}
         self._down: set[str] = set()
-        self._due_ns: dict[str, int | None] = {}  # of the next output, by port; missing: not known
+        self._due_ns: dict[str, int] = {}  # of the next output, by port
+        self._changed_ports = list(self._devices)  # whose next output must be asked for again
+        self._first_output = (NEVER_NS, "")  # its time and port, while no port has changed
+        self._revision = rig.stage.revision
 
     def unplug(self, port: str, at_ns: int, until_ns: int | None = None) -> None:
         """Disconnect a device at a future time, and connect it again at `until_ns`, or never.
@@ -48,7 +52,7 @@ class VirtualHub:
     def swap(self, port: str, other: str) -> None:
         """Exchange the devices of two ports, as happens with unstable port names."""
         self._devices[port], self._devices[other] = self._devices[other], self._devices[port]
-        self._due_ns.clear()
+        self._changed_ports = list(self._devices)
 
     def now_ns(self) -> int:
         """Return the virtual clock."""
@@ -72,19 +76,23 @@ class VirtualHub:
                 "wait until the emulator connects the device again",
             )
         device.receive(data, self._latency.line_ns(self._now_ns))
-        self._due_ns.clear()  # of all devices: a command to the unit also moves the boards
+        self._changed_ports.append(port)
+        revision = self.rig.stage.revision
+        if revision != self._revision:  # a command to the unit also moves the boards
+            self._revision, self._changed_ports = revision, list(self._devices)
         return WriteTimes(self._now_ns, self._now_ns)
 
     def read(self, deadline_ns: int) -> Chunk | None:
         """Return the next chunk of any port in order of time, None at the deadline."""
         limit_ns = max(deadline_ns, self._now_ns)
         while not self._closed:
-            due_ns, port = self._next_output()
-            arrival_ns = self._arrivals[0][0] if self._arrivals else None
-            horizon_ns = limit_ns if arrival_ns is None else min(arrival_ns, limit_ns)
-            if due_ns is not None and due_ns <= horizon_ns:
+            if self._changed_ports:
+                self._find_first_output()
+            due_ns, port = self._first_output
+            arrival_ns = self._arrivals[0][0] if self._arrivals else NEVER_NS
+            if due_ns <= arrival_ns and due_ns <= limit_ns:
                 self._collect(port, due_ns)
-            elif arrival_ns is not None and arrival_ns <= limit_ns:
+            elif arrival_ns <= limit_ns:
                 return self._deliver()
             else:
                 break
@@ -104,20 +112,16 @@ class VirtualHub:
         """Release all ports; a second call does nothing."""
         self._closed = True
 
-    def _next_output(self) -> tuple[int | None, str]:
-        best_ns: int | None = None
-        best_port = ""
-        known_ns = self._due_ns
-        for port, device in self._devices.items():
-            if port not in known_ns:
-                known_ns[port] = device.next_output_ns()
-            due_ns = known_ns[port]
-            if due_ns is not None and (best_ns is None or due_ns < best_ns):
-                best_ns, best_port = due_ns, port
-        return best_ns, best_port
+    def _find_first_output(self) -> None:
+        for port in self._changed_ports:
+            due_ns = self._devices[port].next_output_ns()
+            self._due_ns[port] = NEVER_NS if due_ns is None else due_ns
+        self._changed_ports.clear()
+        port = min(self._due_ns, key=self._due_ns.__getitem__)
+        self._first_output = self._due_ns[port], port
 
     def _collect(self, port: str, until_ns: int) -> None:
-        del self._due_ns[port]
+        self._changed_ports.append(port)
         for line_ns, data in self._devices[port].take_output(until_ns):
             arrival_ns = self._latency.arrival_ns(port, line_ns)
             if not self._is_unplugged(port, arrival_ns):
@@ -128,15 +132,17 @@ class VirtualHub:
         self._order += 1
 
     def _is_unplugged(self, port: str, at_ns: int) -> bool:
-        return any(begin_ns <= at_ns < end_ns for begin_ns, end_ns in self._unplugged[port])
+        intervals_ns = self._unplugged[port]  # nearly always none
+        return bool(intervals_ns) and any(begin <= at_ns < end for begin, end in intervals_ns)
 
     def _deliver(self) -> Chunk:
         """Return the first arrival, joined with others on the same port at the same time."""
-        at_ns, _, port, data, change = heapq.heappop(self._arrivals)
-        while data and self._arrivals and self._arrivals[0][:3:2] == (at_ns, port):
-            if self._arrivals[0][4] is not None:
+        arrivals = self._arrivals
+        at_ns, _, port, data, change = heapq.heappop(arrivals)
+        while data and arrivals and arrivals[0][0] == at_ns:
+            if arrivals[0][2] != port or arrivals[0][4] is not None:
                 break
-            data += heapq.heappop(self._arrivals)[3]
+            data += heapq.heappop(arrivals)[3]
         self._now_ns = max(self._now_ns, at_ns)
         if change is None:
             return Chunk(port, self._now_ns, data)
