@@ -12,6 +12,8 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
+import msgspec
+
 from gyrorig_daemon.config import PTU_PORT, PtuPort
 from gyrorig_daemon.links.pump import Pump
 from gyrorig_daemon.motion.ptu_exchange import Exchange, PtuLineCounts
@@ -32,8 +34,7 @@ class AxisTarget:
     speed_steps_s: int
 
 
-@dataclass(frozen=True, slots=True)
-class Poll:
+class Poll(msgspec.Struct, frozen=True, gc=False):
     """One request of the position.
 
     Attributes:

@@ -2,13 +2,17 @@
 
 from dataclasses import dataclass, field
 
+import msgspec
+
 from gyrorig_protocol.motion_orders import AxisOrder
-from gyrorig_protocol.ptu import PtuCommand, Reply
+from gyrorig_protocol.ptu import PtuCommand, Reading, Reply
 
 
-@dataclass(frozen=True, slots=True)
-class Exchange:
-    """One command and its reply, with times on the raw monotonic clock."""
+class Exchange(msgspec.Struct, frozen=True, gc=False):
+    """One command and its reply, with times on the raw monotonic clock.
+
+    A msgspec structure is immutable like a frozen dataclass, and creating it is ten times faster.
+    """
 
     command: PtuCommand
     request_ns: int  # just before the first byte is written
@@ -19,6 +23,7 @@ class Exchange:
     raw: bytes  # everything received meanwhile
     limit_hit: bool
     orders: tuple[AxisOrder, ...] = ()  # what the command means; none if it moves nothing
+    reading: Reading | None = None  # of the reply, if the driver's commands have values
 
     @property
     def accepted(self) -> bool:
@@ -26,8 +31,7 @@ class Exchange:
         return self.reply is not None and self.reply.ok and not self.limit_hit
 
 
-@dataclass(frozen=True, slots=True)
-class Position:
+class Position(msgspec.Struct, frozen=True, gc=False):
     """The result of one poll; an axis that was not polled keeps its last position."""
 
     exchange: Exchange

@@ -11,6 +11,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final, TypeAlias
 
+import msgspec
+
 from gyrorig_protocol.errors import DeviceError
 from gyrorig_protocol.ptu.ptu_commands import INT32_MAX, AnswerKind, PtuCommand
 from gyrorig_protocol.ptu.ptu_events import Reply
@@ -30,8 +32,7 @@ class Acknowledgement:
     """`*` alone: the command was executed."""
 
 
-@dataclass(frozen=True, slots=True)
-class MotionReading:
+class MotionReading(msgspec.Struct, frozen=True, gc=False):
     """Positions and speeds of both axes at the time of the counter: the answer to `B` or `BT`."""
 
     pan_steps: int
@@ -150,14 +151,10 @@ def read_motion(text: str, with_counter: bool) -> MotionReading | ValueFault:
     match = _MOTION_PATTERN.fullmatch(text)
     if match is None:
         return ValueFault("not P(pan,tilt) S(pan,tilt)", text)
-    pan_steps, tilt_steps, pan_speed_steps_s, tilt_speed_steps_s = (
-        int(part) for part in match.groups()[:4]
-    )
-    counter = None if match.group(5) is None else int(match.group(5))
-    if (
-        max(abs(pan_steps), abs(tilt_steps), abs(pan_speed_steps_s), abs(tilt_speed_steps_s))
-        > INT32_MAX
-    ):
+    *motion, ticks = match.groups()
+    pan_steps, tilt_steps, pan_speed_steps_s, tilt_speed_steps_s = numbers = [*map(int, motion)]
+    counter = None if ticks is None else int(ticks)
+    if max(map(abs, numbers)) > INT32_MAX:
         return ValueFault("a position or speed is out of range", text)
     if with_counter and (counter is None or counter > _COUNTER_MAX):
         return ValueFault("no counter, or one out of range", text)

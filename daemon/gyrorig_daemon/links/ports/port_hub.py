@@ -5,7 +5,6 @@ through the acquisition process, or from emulated devices under a virtual clock.
 """
 
 from collections import deque
-from dataclasses import dataclass
 from enum import Enum
 from typing import NamedTuple, Protocol, runtime_checkable
 
@@ -35,8 +34,7 @@ class Chunk(NamedTuple):
     is_after_loss: bool = False  # bytes of this port before it were discarded
 
 
-@dataclass(frozen=True, slots=True)
-class WriteTimes:
+class WriteTimes(NamedTuple):
     """When a write started and when the last byte was handed to the system."""
 
     before_ns: int

@@ -17,9 +17,8 @@ reply itself is then stale, because it arrives when none is expected or before t
 
 import contextlib
 from collections.abc import Callable
-from dataclasses import replace
 
-from gyrorig_daemon.links.ports.port_hub import Chunk, PortChange
+from gyrorig_daemon.links.ports.port_hub import Chunk, PortChange, WriteTimes
 from gyrorig_daemon.links.pump import Pump
 from gyrorig_daemon.motion.pan_tilt_driver import no_answer_error, unidentified_error
 from gyrorig_daemon.motion.ptu_exchange import Exchange, PtuLineCounts
@@ -141,7 +140,7 @@ class PtuClient:
         self._last_request_ns = self._request_ns = write_times.before_ns
         self._pump.run_until(write_times.after_ns + int(wait_s * 1e9), self._is_exchange_over)
         self._in_flight = None
-        exchange = self._make_exchange(command, write_times.before_ns, write_times.after_ns)
+        exchange = self._make_exchange(command, write_times, is_poll)
         self.counts.exchanges += 1
         self.counts.polls += is_poll
         if is_poll and exchange.reply is not None:
@@ -153,7 +152,7 @@ class PtuClient:
         # reply to the poll may follow.
         self._is_out_of_step = (
             exchange.reply is None
-            or not _is_answer_to(command, exchange.reply)
+            or isinstance(exchange.reading, ValueFault)
             or (is_poll and not exchange.reply.ok)
         )
         if exchange.reply is None and not self.is_port_gone:
@@ -178,7 +177,7 @@ class PtuClient:
             exchange = self.exchange(command, min_timeout_s + attempt * EXTRA_TIMEOUT_S)
             if exchange.reply is None or exchange.command != command:
                 continue
-            if _is_answer_to(command, exchange.reply):
+            if not isinstance(exchange.reading, ValueFault):
                 return exchange.reply
             unexpected = exchange.reply
         if unexpected is not None:
@@ -297,7 +296,9 @@ class PtuClient:
     def _is_exchange_over(self) -> bool:
         return self._reply is not None or self._is_garbled or self.is_port_gone
 
-    def _make_exchange(self, command: PtuCommand, request_ns: int, sent_ns: int) -> Exchange:
+    def _make_exchange(
+        self, command: PtuCommand, write_times: WriteTimes, is_poll: bool
+    ) -> Exchange:
         reply, now_ns = self._reply, self._pump.now_ns()
         if reply is None:
             self.counts.garbled += self._is_garbled
@@ -306,14 +307,21 @@ class PtuClient:
         else:
             self.counts.refused += not reply.ok
             first_ns, last_ns = reply.first_byte_ns, reply.last_byte_ns
-            wait_ns = last_ns - request_ns
+            wait_ns = last_ns - write_times.before_ns
             self.counts.reply_wait_max_ns = max(self.counts.reply_wait_max_ns, wait_ns)
-        exchange = Exchange(
-            command, request_ns, sent_ns, first_ns, last_ns, reply, bytes(self._raw),
-            self._limit_hit,
-        )  # fmt: skip
-        orders = self._translator.translate(command.text, exchange.accepted)
-        return replace(exchange, orders=orders) if orders else exchange
+        is_accepted = reply is not None and reply.ok and not self._limit_hit
+        return Exchange(
+            command=command,
+            request_ns=write_times.before_ns,
+            sent_ns=write_times.after_ns,
+            first_byte_ns=first_ns,
+            reply_ns=last_ns,
+            reply=reply,
+            raw=bytes(self._raw),
+            limit_hit=self._limit_hit,
+            orders=() if is_poll else self._translator.translate(command.text, is_accepted),
+            reading=None if reply is None else read_value(command, reply),
+        )
 
     def _resynchronise(self) -> None:
         """Send a bare delimiter and discard what is being received."""
@@ -334,8 +342,3 @@ class PtuClient:
 
 def _is_version(reply: Reply) -> bool:
     return isinstance(read_value(QUERY_VERSION, reply), FirmwareVersion)
-
-
-def _is_answer_to(command: PtuCommand, reply: Reply) -> bool:
-    """Return whether a reply fits a command; a refusal fits, too."""
-    return not isinstance(read_value(command, reply), ValueFault)

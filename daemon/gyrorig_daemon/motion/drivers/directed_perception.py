@@ -32,7 +32,6 @@ from gyrorig_protocol.ptu import (
     assign_quantity,
     dialect_features,
     query_quantity,
-    read_value,
 )
 from gyrorig_protocol.ptu.dialect import Dialect
 from gyrorig_protocol.ptu.ptu_commands import (
@@ -146,8 +145,8 @@ class DirectedPerceptionUnit:
         steps: Mapping[Axis, int] = {}
         is_still: bool | None = None
         counter: int | None = None
-        if exchange.reply is not None and exchange.command == command:
-            value = read_value(command, exchange.reply)
+        if exchange.command == command:
+            value = exchange.reading
             if isinstance(value, MotionReading):
                 steps = {Axis.PAN: value.pan_steps, Axis.TILT: value.tilt_steps}
                 is_still = value.pan_speed_steps_s == 0 and value.tilt_speed_steps_s == 0
