@@ -48,8 +48,10 @@ from gyrorig_protocol.ptu.ptu_events import (
 _LF, _CR, _BANG_MARK, _STAR_MARK = b"\n\r!*"
 _LIMIT_AXES = {ord("P"): Axis.PAN, ord("T"): Axis.TILT}
 _CABLE_FLAG = ord("D")
-_SPECIAL = b"\n\r!"
-_RUNS = re.compile(rb"[^\n\r!]+|[\n\r!]")
+_LINE_END = b"\r\n"
+_SPECIAL = (b"\n", b"\r", b"!")
+_RUNS = re.compile(rb"[^\n\r!]+|\r\n|[\n\r!]")
+_STATUS_MARK = re.compile(r"[*!]")
 
 # One or more commands: letters, then numbers, `B1,2,3,4`, `@(9600,0,F)`, `_0`, `?`.
 _COMMAND_PATTERN = re.compile(r"(?:[A-Z]{1,4}|@|_|\?)[-+0-9.,()TF]*", re.IGNORECASE)
@@ -101,15 +103,17 @@ class PtuReplyParser:
             if not self._append_run(run, received_ns):
                 for byte in run:
                     self._feed_byte(byte, received_ns, events)
+            elif run == _LINE_END:
+                self._end_line(received_ns, events)
         return events
 
     def _append_run(self, run: bytes, received_ns: int) -> bool:
         """Append bytes of the state TEXT at once; return False if they need the other states.
 
-        Most bytes of a line are such bytes, and one step per byte takes ten times as long.
+        Nearly all bytes are such bytes, and one step per byte takes ten times as long.
         """
         is_text = not (self._bang_ns is not None or self._after_cr or self._skipping)
-        if run[0] in _SPECIAL or not is_text:
+        if run in _SPECIAL or not is_text:
             return False
         if len(self._line) + len(run) > self._max_line_bytes:
             return False
@@ -164,33 +168,29 @@ class PtuReplyParser:
 
     def _classify_line(self, raw: bytes, mark_ns: int | None, last_byte_ns: int) -> PtuEvent:
         line = raw.strip(b" \t\r\n")
-        if not (line.isascii() and line.replace(b"\t", b" ").decode("ascii").isprintable()):
+        text = line.decode("ascii", "replace")
+        if not (line.isascii() and text.replace("\t", " ").isprintable()):
             return InvalidLine(InvalidLineReason.NOT_ASCII, raw, last_byte_ns)
-        text = line.decode("ascii")
-        mark_indices = [index for index, letter in enumerate(text) if letter in "*!"]
-        prefix = " ".join(text[: mark_indices[0]].split()) if mark_indices else text
+        mark = _STATUS_MARK.search(text)
+        prefix = text if mark is None else " ".join(text[: mark.start()].split())
         if _BANNER_WORDS.search(prefix):
             return Banner(text, last_byte_ns)
         is_echo = all(_COMMAND_PATTERN.fullmatch(word) for word in prefix.split())
-        if mark_ns is None or not mark_indices:
+        if mark_ns is None or mark is None:
             if is_echo:
                 return Echo(prefix, last_byte_ns)
             return InvalidLine(InvalidLineReason.NO_STATUS, raw, last_byte_ns)
-        reason = self._reject_reason(prefix, is_echo, len(mark_indices))
+        value = text[mark.end() :]
+        reason = self._reject_reason(prefix, is_echo, value)
         if reason is not None:
             return InvalidLine(reason, raw, last_byte_ns)
-        index = mark_indices[0]
-        return Reply(
-            text[index] == "*", text[index + 1 :].strip(), prefix, raw, mark_ns, last_byte_ns
-        )
+        return Reply(mark[0] == "*", value.strip(), prefix, raw, mark_ns, last_byte_ns)
 
-    def _reject_reason(
-        self, prefix: str, is_echo: bool, mark_count: int
-    ) -> InvalidLineReason | None:
+    def _reject_reason(self, prefix: str, is_echo: bool, value: str) -> InvalidLineReason | None:
         """Return why a line with a status mark is not the expected reply, None if it is."""
         if not is_echo:
             return InvalidLineReason.FOREIGN_PREFIX
-        if mark_count > 1:
+        if _STATUS_MARK.search(value):
             return InvalidLineReason.TWO_REPLIES
         # The echo of several commands in one write can come as one sequence of words or in parts.
         if (
