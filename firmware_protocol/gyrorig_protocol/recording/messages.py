@@ -142,24 +142,20 @@ class ImuRaw(msgspec.Struct, frozen=True, gc=False):
     @classmethod
     def decode(cls, data: bytes) -> Self:
         """Decode a payload; raises InputError if it is invalid."""
-        values = [int(value) for value in unpack_fields(cls._LAYOUT, data, "ImuRaw")]
-        gyro, accel, mag = (
-            (values[first], values[first + 1], values[first + 2]) for first in (6, 9, 12)
-        )
+        values = unpack_fields(cls._LAYOUT, data, "ImuRaw")
         return cls(
             values[0] * NS_PER_S + values[1],
             values[2],
             values[3],
             values[4],
             values[5],
-            gyro,
-            accel,
-            mag,
+            values[6:9],
+            values[9:12],
+            values[12:15],
         )
 
 
-@dataclass(frozen=True, slots=True)
-class PtuPosition:
+class PtuPosition(msgspec.Struct, frozen=True, gc=False):
     """One position query of the pan-tilt unit; angles after the signs of the rig."""
 
     TYPE: ClassVar[str] = "gyrorig_msgs/msg/PtuPosition"
@@ -201,17 +197,11 @@ class PtuPosition:
     def decode(cls, data: bytes) -> Self:
         """Decode a payload; raises InputError if it is invalid."""
         values = unpack_fields(cls._LAYOUT, data, "PtuPosition")
-        times_ns = [int(values[index]) * NS_PER_S + int(values[index + 1]) for index in (0, 2, 4)]
-        integers = [int(values[index]) for index in (6, 7, 10, 11, 12)]
         return cls(
-            times_ns[0],
-            times_ns[1],
-            times_ns[2],
-            integers[0],
-            integers[1],
-            values[8],
-            values[9],
-            *integers[2:],
+            values[0] * NS_PER_S + values[1],
+            values[2] * NS_PER_S + values[3],
+            values[4] * NS_PER_S + values[5],
+            *values[6:],
         )
 
 

@@ -8,6 +8,7 @@ Source: OMG DDSI-RTPS 2.5 section 10 (encapsulation), CDR alignment of XCDR1.
 """
 
 import struct
+from typing import Any
 
 from gyrorig_protocol.errors import InputError
 
@@ -29,8 +30,8 @@ def pack_fields(layout: struct.Struct, *values: float) -> bytes:
         raise ValueError(f"a value does not fit its field: {error}") from error
 
 
-def unpack_fields(layout: struct.Struct, data: bytes, name: str) -> list[int | float]:
-    """Return the fields of a message of fixed size.
+def unpack_fields(layout: struct.Struct, data: bytes, name: str) -> tuple[Any, ...]:
+    """Return the fields of a message of fixed size, of the types in its layout.
 
     Raises:
         InputError: the payload of the message `name` has another size or header.
@@ -41,7 +42,7 @@ def unpack_fields(layout: struct.Struct, data: bytes, name: str) -> list[int | f
             f"{data[:4].hex()}, instead of {layout.size} bytes and the header 00010000",
             "copy the file again, or record again",
         )
-    return list(layout.unpack(data)[1:])
+    return layout.unpack(data)[1:]
 
 
 def split_time(time_ns: int) -> tuple[int, int]:
