@@ -26,6 +26,7 @@ from gyrorig_daemon.emulator.board.sample_encoder import (
     bmp085_raw,
     inject_line_faults,
     out_temp_raw,
+    sample_rows,
 )
 from gyrorig_daemon.emulator.emulated_line import ReceiveLine, byte_ns
 from gyrorig_daemon.emulator.emulator_settings import BoardSettings
@@ -199,6 +200,7 @@ class EmulatedBoard:
         ready_ns = (self._origin_ns + np.rint(block.time_s * 1e9)).astype(np.int64)
         stamped_ns = (ready_ns + self._stamp_late_ns).tolist()
         step = self._encoder.samples_per_frame
+        rows = sample_rows(block)
         frames: list[Frame] = []
         for row in range(0, len(stamped_ns), step):
             if self._lost[row // step]:
@@ -213,7 +215,7 @@ class EmulatedBoard:
                     block.first + row - self._imu.samples_before((boot_ns - self._origin_ns) * 1e-9)
                 )
             stamp = self.clock.ticks(last_ns - self._stamp_early_ns)
-            data = self._encoder.encode(block, row, step, number, stamp)
+            data = self._encoder.encode(rows, row, step, number, stamp)
             frames.append((last_ns + BUS_READ_NS, data))
         faulty = inject_line_faults(self.settings.faults, self._first_frame, frames)
         # Without frames there is still a time at which the next block starts.

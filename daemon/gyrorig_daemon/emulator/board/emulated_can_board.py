@@ -12,13 +12,17 @@ import numpy as np
 
 from gyrorig_daemon.emulator.board.board_configuration import hello_frame
 from gyrorig_daemon.emulator.board.emulated_board import EmulatedBoard
-from gyrorig_daemon.emulator.board.sample_encoder import SampleEncoder, bmp085_raw, out_temp_raw
+from gyrorig_daemon.emulator.board.sample_encoder import (
+    SampleEncoder,
+    SampleRows,
+    bmp085_raw,
+    out_temp_raw,
+)
 from gyrorig_daemon.emulator.emulator_settings import BoardSettings
 from gyrorig_daemon.emulator.physics.effects.rig_hooks import BoardHooks
 from gyrorig_daemon.emulator.physics.imu import ImuTruth, SampleBlock
 from gyrorig_daemon.emulator.physics.stage_motion import Stage
 from gyrorig_daemon.emulator.rig_truth import BoardTruth
-from gyrorig_protocol.board.board_frames import Triple
 from gyrorig_protocol.can import (
     SYNC_IDENTIFIER,
     CanFrame,
@@ -54,17 +58,15 @@ class CanSampleEncoder(SampleEncoder):
         if boot != self._boot:
             self._boot, self._has_started = boot, True
 
-    def encode(
-        self, block: SampleBlock, first: int, count: int, sequence: int, stamp: int
-    ) -> bytes:
+    def encode(self, rows: SampleRows, first: int, count: int, sequence: int, stamp: int) -> bytes:
         """See `SampleEncoder.encode`."""
         frames: list[CanFrame] = []
         if self._has_started or sequence % self._every == 0:
             self._has_started = False
             frames.append(status_frame(self._node, stamp, sequence, self._boot))
         if self._settings.accel:
-            frames.append(accel_frame(self._node, _triple(block.accel[first].tolist()), stamp))
-        frames.append(gyro_frame(self._node, _triple(block.gyro[first].tolist()), stamp))
+            frames.append(accel_frame(self._node, rows.accel[first], stamp))
+        frames.append(gyro_frame(self._node, rows.gyro[first], stamp))
         return pack_frames(frames)
 
 
@@ -134,7 +136,3 @@ class EmulatedCanBoard(EmulatedBoard):
     def _hello(self, start_ns: int) -> bytes:
         text = hello_frame(self.settings, self._boot(start_ns)).encode_payload()[1:]
         return pack_frames(hello_frames(self.settings.node, text))
-
-
-def _triple(row: list[int]) -> Triple:
-    return row[0], row[1], row[2]

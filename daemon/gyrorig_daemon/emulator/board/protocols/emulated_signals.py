@@ -7,9 +7,9 @@ from typing import Literal
 import numpy as np
 
 from gyrorig_daemon.emulator.board.emulated_can_board import EmulatedCanBoard
-from gyrorig_daemon.emulator.board.sample_encoder import SampleEncoder
+from gyrorig_daemon.emulator.board.sample_encoder import SampleEncoder, SampleRows
 from gyrorig_daemon.emulator.emulator_settings import BoardSettings
-from gyrorig_daemon.emulator.physics.imu import ImuTruth, SampleBlock
+from gyrorig_daemon.emulator.physics.imu import ImuTruth
 from gyrorig_daemon.emulator.rig_truth import ACCEL_COUNTS_PER_G, DEG, mdps_per_count
 from gyrorig_protocol.can import (
     CanFrame,
@@ -39,24 +39,22 @@ class SignalEncoder(SampleEncoder):
         self._keys = sorted(signal_map.needed_bytes, key=lambda key: key in rate_keys)
         self._gyro_rad_s = mdps_per_count(settings) * 1e-3 * DEG
 
-    def encode(
-        self, block: SampleBlock, first: int, count: int, sequence: int, stamp: int
-    ) -> bytes:
+    def encode(self, rows: SampleRows, first: int, count: int, sequence: int, stamp: int) -> bytes:
         """See `SampleEncoder.encode`."""
         del count
         signal_map = self._map
         payloads = {
             key: bytearray(max(_FRAME_BYTES, size)) for key, size in signal_map.needed_bytes.items()
         }
-        for signal, value in zip(signal_map.gyro, block.gyro[first].tolist(), strict=True):
+        for signal, value in zip(signal_map.gyro, rows.gyro[first], strict=True):
             counts = value * self._gyro_rad_s / signal_map.gyro_scale_rad_s
             _put_counts(payloads, signal, counts)
         if signal_map.accel is not None and signal_map.accel_scale_m_s2:
             per_count = STANDARD_GRAVITY_M_S2 / ACCEL_COUNTS_PER_G / signal_map.accel_scale_m_s2
-            for signal, value in zip(signal_map.accel, block.accel[first].tolist(), strict=True):
+            for signal, value in zip(signal_map.accel, rows.accel[first], strict=True):
                 _put_counts(payloads, signal, value * per_count)
         if signal_map.temperature is not None and signal_map.temperature_scale_c:
-            degc = float(block.temperature_degc[first])
+            degc = rows.temperature_degc[first]
             _put_counts(payloads, signal_map.temperature, degc / signal_map.temperature_scale_c)
         if signal_map.time is not None and signal_map.tick_hz:
             ticks = round(stamp * signal_map.tick_hz / _US_PER_S)
