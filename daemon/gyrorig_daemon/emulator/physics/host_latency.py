@@ -47,6 +47,7 @@ class HostLatency:
         self._prompt_ports = prompt_ports
         self._jitter_rng, self._stall_rng, self._write_rng = rng.spawn(3)
         self._jitter: list[float] = []
+        self._write_jitter: list[float] = []
         self._stall_ns = (origin_ns, origin_ns)
         self._last_ns: dict[str, int] = {}
 
@@ -66,8 +67,10 @@ class HostLatency:
 
     def line_ns(self, write_ns: int) -> int:
         """Return when the first bit of a write at `write_ns` starts on the line."""
-        jitter = self._write_rng.exponential(self._truth.write_jitter_s)
-        return write_ns + int((self._truth.write_floor_s + jitter) * 1e9)
+        if not self._write_jitter:
+            jitter_s = self._write_rng.exponential(self._truth.write_jitter_s, _DRAW_BATCH)
+            self._write_jitter = jitter_s[::-1].tolist()  # the last one is taken first
+        return write_ns + int((self._truth.write_floor_s + self._write_jitter.pop()) * 1e9)
 
     def _after_stall(self, due_ns: int) -> int:
         if self._truth.stall_interval_s <= 0.0:
