@@ -13,6 +13,11 @@ Use `plan_motion` for a move and `halt_target` for the stopping position of a ha
 import math
 from dataclasses import dataclass
 
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+
 # Replanning within the final ramp gives the same stopping distance, except for rounding.
 _TOLERANCE_STEPS = 1e-6
 
@@ -47,6 +52,11 @@ class Segment:
         dt = time_s - self.start_s
         speed = self.speed_steps_s + self.acceleration_steps_s2 * dt
         return self.steps + 0.5 * (self.speed_steps_s + speed) * dt, speed
+
+    def during(self, elapsed_s: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return positions and speeds at times since the start, each (n,)."""
+        speed = self.speed_steps_s + self.acceleration_steps_s2 * elapsed_s
+        return self.steps + 0.5 * (self.speed_steps_s + speed) * elapsed_s, speed
 
 
 class _SegmentBuilder:

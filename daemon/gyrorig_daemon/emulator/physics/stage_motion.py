@@ -60,7 +60,7 @@ class Stage:
         """
         pan = self.pan.angles_rad(start_s, period_s, count + 1)
         tilt = self.tilt.angles_rad(start_s, period_s, count + 1)
-        pan_rate, tilt_rate = np.diff(pan) / period_s, np.diff(tilt) / period_s
+        pan_rate, tilt_rate = (pan[1:] - pan[:-1]) / period_s, (tilt[1:] - tilt[:-1]) / period_s
         tilt_middle = 0.5 * (tilt[1:] + tilt[:-1])
         pan_component = np.cos(self.tilt_axis_error_rad) * pan_rate
         rates = np.empty((count, 3))

@@ -104,15 +104,16 @@ class StepTrain:
     def _trapezoid(self, start_s: float, offsets_s: FloatArray) -> tuple[FloatArray, FloatArray]:
         first = max(bisect_right(self._starts, start_s) - 1, 0)
         last = max(bisect_right(self._starts, start_s + float(offsets_s[-1])), first + 1)
+        segment = self._segments[first]
+        if last == first + 1:  # nearly always
+            return segment.during(offsets_s + (start_s - segment.start_s))
         edges = [s - start_s for s in self._starts[first + 1 : last]]
         cuts = [0, *np.searchsorted(offsets_s, edges).tolist(), len(offsets_s)]
         steps, speeds = np.empty_like(offsets_s), np.empty_like(offsets_s)
         for i, segment in enumerate(self._segments[first:last]):
             interval = slice(cuts[i], cuts[i + 1])
-            dt = offsets_s[interval] + (start_s - segment.start_s)
-            speed = segment.speed_steps_s + segment.acceleration_steps_s2 * dt
-            steps[interval] = segment.steps + 0.5 * (segment.speed_steps_s + speed) * dt
-            speeds[interval] = speed
+            elapsed_s = offsets_s[interval] + (start_s - segment.start_s)
+            steps[interval], speeds[interval] = segment.during(elapsed_s)
         return steps, speeds
 
     def _smoothed(self, start_s: float, offsets_s: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -189,6 +189,9 @@ class StepperAxis:
     def rotor_steps(self, start_s: float, offsets_s: FloatArray) -> FloatArray:
         """See `effects.motor.Motor`."""
         steps, _ = self._train.evaluate(start_s, offsets_s)
+        first = bisect_right(self._shift_starts, start_s + float(offsets_s[0]))
+        if first == bisect_right(self._shift_starts, start_s + float(offsets_s[-1])):
+            return steps + self._shifts[first - 1]
         indices = np.searchsorted(self._shift_starts, start_s + offsets_s, side="right") - 1
         return np.asarray(steps + np.asarray(self._shifts, dtype=np.float64)[indices])
 

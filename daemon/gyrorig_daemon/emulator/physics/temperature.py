@@ -10,7 +10,7 @@ measured curve can replace the model (`TemperatureCurve`).
 
 import math
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,7 +27,11 @@ class TemperatureCurve:
 
     def at(self, time_s: FloatArray) -> FloatArray:
         """Return the temperature, (n,)."""
-        return np.interp(time_s, self.time_s, self.degc)
+        return np.interp(time_s, *self._knots)
+
+    @cached_property
+    def _knots(self) -> tuple[FloatArray, FloatArray]:
+        return np.array(self.time_s), np.array(self.degc)
 
     def behind(self, time_s: FloatArray, lag_s: float) -> FloatArray:
         """Return the temperature of a part that follows with a first-order lag, (n,)."""
