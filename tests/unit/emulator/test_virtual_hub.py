@@ -60,6 +60,35 @@ def play(hub: PortHub, script: list[tuple[float, str, bytes]], end_s: float) -> 
     return chunks
 
 
+def test_only_a_command_that_moves_the_stage_asks_the_boards_again(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    rig = EmulatedRig(SETTINGS, ORIGIN)
+    hub = VirtualHub(rig)
+    asked: list[str] = []
+    for name, board in rig.boards.items():
+
+        def next_output_ns(
+            name: str = name, ask: Callable[[], int | None] = board.next_output_ns
+        ) -> int | None:
+            asked.append(name)
+            return ask()
+
+        monkeypatch.setattr(board, "next_output_ns", next_output_ns)
+
+    def asked_after(data: bytes) -> list[str]:
+        hub.read(hub.now_ns())  # a write and an output ask as well
+        asked.clear()
+        hub.write("ptu", data)
+        hub.read(hub.now_ns())
+        return asked
+
+    play(hub, [], 0.1)
+    assert asked_after(b"BT ") == []
+    assert asked_after(b"PP2000 ") == ["A", "B"]
+    assert asked_after(b"BT ") == []
+
+
 def by_port(chunks: list[Chunk]) -> dict[str, bytes]:
     ports = {chunk.port for chunk in chunks}
     return {port: b"".join(c.data for c in chunks if c.port == port) for port in ports}
