@@ -1,6 +1,7 @@
 """Mean rate of a rest, and its standard uncertainty by noise and by rounding.
 
-What to use when: `measure_rest` for a rest between turns; `samples_in` for the samples of a phase.
+What to use when: `measure_rest` for a rest between turns; `samples_in` for the samples of a phase;
+`mean_std_by_rounding` for a bias that is a mean over rests and motion.
 
 Theory of operation. The variance of a mean of correlated samples is that of the means of blocks
 that are longer than the correlation, divided by their number. It is at least that of uncorrelated
@@ -21,6 +22,7 @@ from gyrorig_solver.reference import TimeInterval
 MIN_SAMPLES = 8
 MIN_BLOCKS, MAX_BLOCKS, BLOCK_SAMPLES = 8, 16, 8
 KNOCK_SIGMA = 6.0
+WINDOW_S = 1.0  # shorter than most rests
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -94,7 +96,29 @@ def std_by_rounding(rate: FloatArray, quantum_rad_s: float) -> FloatArray:
 
     The position of the rate within a count is then unknown, as in `noise.rounding`. All rests of a
     board with a constant bias have the same position, so that more rests do not reduce the error.
+
+    Args:
+        rate: of a rest, (n, 3), or of several, (k, n, 3), which give (k, 3).
+        quantum_rad_s: step of the rounding.
     """
-    noise_variance = np.var(rate, axis=0, ddof=1) - quantum_rad_s**2 / 12.0
+    noise_variance = np.var(rate, axis=-2, ddof=1) - quantum_rad_s**2 / 12.0
     is_coarse = noise_variance < (LEAST_NOISE_COUNTS * quantum_rad_s) ** 2
     return np.where(is_coarse, quantum_rad_s / np.sqrt(12.0), 0.0)
+
+
+def mean_std_by_rounding(samples: GyroSamples) -> FloatArray:
+    """Return what rounding adds to the mean over a whole recording, (3,).
+
+    Motion moves the samples over several counts, so that its rounding averages out. The error is
+    therefore that of a rest, times the share of the windows in which the samples hardly move.
+
+    Args:
+        samples: of the recording.
+    """
+    rate = samples.rate_rad_s[samples.usable]
+    length = max(MIN_SAMPLES, round(WINDOW_S / samples.period_s))
+    count = len(rate) // length
+    if count == 0:
+        return np.zeros(3)
+    windows = rate[: count * length].reshape(count, length, 3)
+    return np.asarray(std_by_rounding(windows, samples.quantum_rad_s).mean(axis=0), np.float64)

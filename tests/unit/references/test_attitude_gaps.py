@@ -5,8 +5,10 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from scipy.spatial.transform import Rotation
 
+from gyrorig_protocol.errors import InputError
 from gyrorig_solver.data import FloatArray
 from gyrorig_solver.data.samples import GyroSamples
 from gyrorig_solver.estimate import fit_attitude
@@ -76,4 +78,18 @@ def test_the_first_lag_is_that_of_the_motion_and_not_of_the_longest_part(
     fit = fit_attitude([(gapped, reference)])
     assert fit.identified
     assert abs(fit.time_offset_s - LAG_S) < 1e-3
+    assert np.abs((fit.gain - true_gain) / fit.gain_std).max() < 4.5
+
+
+def test_too_few_samples_without_a_gap_are_refused(
+    tumble: Tumbler, samples_of: Maker, true_gain: FloatArray, true_bias_rad_s: FloatArray
+) -> None:
+    """Before, the fit of the times ended with an error of NumPy."""
+    samples, reference = session(tumble(2), samples_of, true_gain, true_bias_rad_s)
+    first_s = REST_S + 10.0
+    is_kept = (samples.time_s > first_s) & (samples.time_s < first_s + 1.2)
+    short = replace(samples, usable=samples.usable & is_kept)
+    with pytest.raises(InputError, match="too short for a fit"):
+        fit_attitude([(short, reference)])
+    fit = fit_attitude([(short, reference), (samples, reference)])
     assert np.abs((fit.gain - true_gain) / fit.gain_std).max() < 4.5

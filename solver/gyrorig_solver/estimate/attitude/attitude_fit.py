@@ -35,6 +35,7 @@ from gyrorig_solver.estimate.information import PARAMETER_NAMES
 from gyrorig_solver.estimate.observability import (
     analyse_scaled_observability,
 )
+from gyrorig_solver.estimate.rest_mean import mean_std_by_rounding
 from gyrorig_solver.reference import AttitudeReference
 
 DEFAULT_BAND_HZ = 5.0
@@ -61,6 +62,7 @@ class AttitudeFit:
     bands: _BandComparison
     band_hz: float  # lower than requested if the bands disagree
     resolved: tuple[ResolvedReference, ...]  # of each recording
+    rounding_std_rad_s: FloatArray  # (recordings, 3), what rounding adds to each bias
 
     @property
     def offset_recording(self) -> int:
@@ -107,7 +109,8 @@ def solve_attitude(
         if recording_index not in matched:
             raise no_common_stretch(samples, reference, recording_index, len(recordings))
     segments = [match_of_track for _, match_of_track in matches]
-    return _solve_segments(segments, [k for k, _ in matches], band_hz, None, resolved)
+    rounding_std = np.array([mean_std_by_rounding(samples) for samples, _ in recordings])
+    return _solve_segments(segments, [k for k, _ in matches], band_hz, None, resolved, rounding_std)
 
 
 def resolve_all(
@@ -117,15 +120,27 @@ def resolve_all(
 ) -> tuple[ResolvedReference, ...]:
     """Return each recording's reference on the times of the fit.
 
+    A recording that is too short to show differences between the times keeps its times.
+
     Raises:
         InputError: jitter hides which frames of a reference are missing.
     """
     return tuple(
         resolve_times(samples, reference, band_hz, keep_sawtooth)
-        if match_segments(samples, reference)
+        if _coefficients(match_segments(samples, reference), LOWER_BAND_SHARE * band_hz)
+        >= MIN_COEFFICIENTS
         else ResolvedReference(reference)
         for samples, reference in recordings
     )
+
+
+def _coefficients(segments: Sequence[AttitudeSegment], band_hz: float) -> float:
+    """Return the number of coefficients of each axis in a band."""
+    return 2.0 * band_hz * _length_s(segments)
+
+
+def _length_s(segments: Sequence[AttitudeSegment]) -> float:
+    return sum(segment.track.begin_s.size * segment.track.step_s for segment in segments)
 
 
 def solve_without_effects(fit: AttitudeFit, effects: Mapping[int, FloatArray]) -> AttitudeFit:
@@ -140,7 +155,9 @@ def solve_without_effects(fit: AttitudeFit, effects: Mapping[int, FloatArray]) -
     segments = [fit.solver.segments[k] for k in numbers]
     recordings = [fit.solver.recording_of_segment[k] for k in numbers]
     known_effects = [effects[k] for k in numbers]
-    return _solve_segments(segments, recordings, DEFAULT_BAND_HZ, known_effects, fit.resolved)
+    return _solve_segments(
+        segments, recordings, DEFAULT_BAND_HZ, known_effects, fit.resolved, fit.rounding_std_rad_s
+    )
 
 
 def _solve_segments(
@@ -149,6 +166,7 @@ def _solve_segments(
     band_hz: float,
     effects: list[FloatArray] | None,
     resolved: tuple[ResolvedReference, ...],
+    rounding_std_rad_s: FloatArray,
 ) -> AttitudeFit:
     _check_length(segments, LOWER_BAND_SHARE * band_hz)
     solver = AttitudeSolver(segments, band_hz, recording_of_segment, effects)
@@ -169,7 +187,7 @@ def _solve_segments(
             "them (in an import map a constant difference with `origin_s` under `time`, a speed "
             "with `rate_hz` or in the file), and import again",
         )
-    return AttitudeFit(solver, linearised, bands, band_hz, resolved)
+    return AttitudeFit(solver, linearised, bands, band_hz, resolved, rounding_std_rad_s)
 
 
 def _check_length(segments: Sequence[AttitudeSegment], band_hz: float) -> None:
@@ -178,10 +196,10 @@ def _check_length(segments: Sequence[AttitudeSegment], band_hz: float) -> None:
     Raises:
         InputError: the recordings are too short.
     """
-    length_s = sum(segment.track.begin_s.size * segment.track.step_s for segment in segments)
-    if 2.0 * band_hz * length_s < MIN_COEFFICIENTS:
+    if _coefficients(segments, band_hz) < MIN_COEFFICIENTS:
         raise InputError(
-            f"the gyroscope's samples and the reference attitudes have only {length_s:.1f} s in "
+            f"the gyroscope's samples and the reference attitudes have only "
+            f"{_length_s(segments):.1f} s in "
             "common without a gap, which is too short for a fit",
             "record the board and the attitudes together for at least 10 s",
         )

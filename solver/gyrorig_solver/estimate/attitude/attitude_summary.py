@@ -18,7 +18,7 @@ from gyrorig_solver.estimate.attitude.attitude_fit import (
 from gyrorig_solver.estimate.attitude.attitude_solver import AttitudeSolver
 from gyrorig_solver.estimate.fit_summary import FitOutcome, build_gyro_fit
 from gyrorig_solver.estimate.gyro_fit import FitDiagnostics, GyroFit, RecordingFit
-from gyrorig_solver.estimate.information import PARAMETER_NAMES
+from gyrorig_solver.estimate.information import PARAMETER_NAMES, add_parameter_noise
 from gyrorig_solver.estimate.observability import (
     ObservabilityAnalysis,
     analyse_observability,
@@ -30,6 +30,7 @@ from gyrorig_solver.reference.attitude_reference import MAX_MEAN_RATE_TURN_RAD
 PLOT_MOTION_RATE_RAD_S = 0.05  # for plots
 PLOT_GAP_S = 1.0  # between two recordings
 HELD_OUT_WINDOW_S = 10.0
+BIASES, TIME_OFFSET = range(9, 12), 12  # in `PARAMETER_NAMES`
 _NOT_CONVERGED = (
     "the fit did not converge; check that the board and the attitudes were recorded together with "
     "one clock, and record again"
@@ -135,14 +136,14 @@ def _recording_observability(
     information /= max(1.0, inflation) * fit.bands.std_factor**2
     # The common offset of the times is one more unknown with the derivatives of the time offset
     # and a prior; it is eliminated.
-    variance_s2 = fit.resolved[offset_recording].offset_std_s ** 2
-    lag = information[:, 12]
-    analysis = analyse_observability(
-        information - np.outer(lag, lag) * variance_s2 / (1.0 + variance_s2 * lag[12]),
-        PARAMETER_NAMES,
-    )
+    offset_std_s = fit.resolved[offset_recording].offset_std_s
+    information = add_parameter_noise(information, TIME_OFFSET, offset_std_s)
     factors = solver.variance_factors(fit.linearised)[keep] / max(1.0, inflation)
-    return analysis.widened(np.sqrt(np.maximum(factors, 1.0)))
+    widening = np.sqrt(np.maximum(factors, 1.0))
+    # The error by rounding is constant, so that the noise does not widen it.
+    for k, std_rad_s in zip(BIASES, fit.rounding_std_rad_s[recording].tolist(), strict=True):
+        information = add_parameter_noise(information, k, std_rad_s / float(widening[k]))
+    return analyse_observability(information, PARAMETER_NAMES).widened(widening)
 
 
 def _recording_fits(fit: AttitudeFit, inflation: float) -> tuple[RecordingFit, ...]:
