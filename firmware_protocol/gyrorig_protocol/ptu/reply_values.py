@@ -11,8 +11,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final, TypeAlias
 
-import msgspec
-
 from gyrorig_protocol.errors import DeviceError
 from gyrorig_protocol.ptu.ptu_commands import INT32_MAX, AnswerKind, PtuCommand
 from gyrorig_protocol.ptu.ptu_events import Reply
@@ -32,7 +30,8 @@ class Acknowledgement:
     """`*` alone: the command was executed."""
 
 
-class MotionReading(msgspec.Struct, frozen=True, gc=False):
+@dataclass(frozen=True, slots=True)  # `gyrorigd halt` loads this module, but not msgspec
+class MotionReading:
     """Positions and speeds of both axes at the time of the counter: the answer to `B` or `BT`."""
 
     pan_steps: int
