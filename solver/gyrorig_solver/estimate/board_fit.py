@@ -160,7 +160,7 @@ class BoardFit:
                 detect_outliers=trial.size_sigma > OUTLIER_RETEST_SIGMA,
                 new_derivatives=new_derivatives or trial.size_sigma > refresh_limit,
             )
-        self._fit_noise()
+        self._fit_noise(is_next_step=True)
 
     def renew_derivatives(self) -> bool:
         """Discard the derivatives; return False if they belong to the current values."""
@@ -207,11 +207,11 @@ class BoardFit:
         for session, session_sums in zip(self.sessions, sums, strict=True):
             session.bias_rad_s = session_sums.bias(self.gain)
 
-    def _fit_noise(self) -> None:
+    def _fit_noise(self, is_next_step: bool = False) -> None:
         previous_levels: list[FloatArray | None] = [noise.levels for noise in self.noises]
         previous_levels = previous_levels or [None] * len(self.sessions)
         fitted = [
-            fit_session_noise(session, self.gain, self._sampling(session), levels)
+            fit_session_noise(session, self.gain, self._sampling(session), levels, is_next_step)
             for session, levels in zip(self.sessions, previous_levels, strict=True)
         ]
         self.noises = [session_noise.noise for session_noise in fitted]

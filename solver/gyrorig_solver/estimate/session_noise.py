@@ -66,6 +66,7 @@ def fit_session_noise(
     gain: FloatArray,
     sampling: Sampling,
     initial_levels: FloatArray | None = None,
+    is_next_step: bool = False,
 ) -> SessionNoise:
     """Estimate the noise at rest from the residual's spectrum.
 
@@ -74,6 +75,7 @@ def fit_session_noise(
         gain: G, shape (3, 3).
         sampling: of the residual.
         initial_levels: (3, 4), from a previous fit.
+        is_next_step: whether they are those before a step of the same fit.
     """
     periodograms, source = session_periodograms(session, gain, sampling)
     spectrum = bin_spectrum(periodograms, sampling)
@@ -92,7 +94,8 @@ def fit_session_noise(
     high_differences = RestDifferences.of(residuals, at_rest, DIFFERENCE_ORDER)
     with_floor = add_noise_floor(noise, spectrum, high_differences)
     # A floor is a part of the noise at rest. Without it, the white noise at rest seems too large.
-    if limit_to_rest(with_floor, differences, initial_levels) is not with_floor:
-        limited = limit_to_rest(noise, differences, initial_levels)
+    previous_levels = initial_levels if is_next_step else None
+    if limit_to_rest(with_floor, differences, previous_levels) is not with_floor:
+        limited = limit_to_rest(noise, differences, previous_levels)
         return SessionNoise(limited, spectrum, source)
     return SessionNoise(with_floor, spectrum, source)
