@@ -10,6 +10,8 @@ accelerometer: M is gyro to accelerometer here, not gyro to stage.
 Source: Tedaldi et al., ICRA 2014, eq. 13 to 16 (there with the bias of the first rest).
 """
 
+from dataclasses import dataclass, replace
+
 import numpy as np
 
 from gyrorig_protocol.errors import InputError
@@ -21,12 +23,9 @@ from gyrorig_solver.estimate.fit_summary import (
     warn_of_unchecked_times,
 )
 from gyrorig_solver.estimate.gravity_mismatch import list_mismatches
-from gyrorig_solver.estimate.gravity_move import MIN_TURN_RAD, GravityMove
 from gyrorig_solver.estimate.gravity_residual import (
     RestErrors,
-    accelerometer_covariance,
     describe_excess,
-    describe_few_rests,
     measure_rest_errors,
     predict_move_variance,
 )
@@ -48,6 +47,8 @@ SCALE_RANGE = (0.5, 1.5)  # of the gyro's scale factor, for the initial guess
 CONVERGED_SIGMA = 1e-4
 # Larger residuals, from a knock or a saturated sample, have less weight (Huber).
 HUBER_SIGMA = 2.5
+# A smaller rotation has no information and can be a knock at rest.
+MIN_TURN_RAD = 0.05
 MIN_MOVES = 5
 # Largest standard deviation of the residuals in each direction. Moves by hand have 0.1 to 0.5 deg.
 # A bias that changes by 0.2 deg/s within a move of 10 s gives 2 deg, and an accelerometer with an
@@ -67,6 +68,27 @@ REASON_TEXTS = {
     "bias": "no rest in the recording is long enough; hold the board still for some seconds",
     "time_offset": "gravity at rest does not show the time offset; use a reference that moves",
 }
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Move:
+    """One move: the gyro between two rests, and gravity at both."""
+
+    step_s: FloatArray  # (n - 1,)
+    rate_rad_s: FloatArray  # (n, 3), measured, minus the bias of the two rests
+    gravity_before: FloatArray  # (3,), unit vector up
+    gravity_after: FloatArray
+    variance_rad2: float  # predicted, of the residual in each direction
+
+    @property
+    def is_large(self) -> bool:
+        """Whether the gyro turned enough for the move to have information."""
+        speed_rad_s = np.linalg.norm(self.rate_rad_s[1:], axis=1)
+        return float(np.sum(speed_rad_s * self.step_s)) >= MIN_TURN_RAD
+
+    def corrected(self, correction: FloatArray) -> "_Move":
+        """Return the move with each rate multiplied by a matrix, (3, 3)."""
+        return replace(self, rate_rad_s=self.rate_rad_s @ correction.T)
 
 
 def fit_gravity(
@@ -95,20 +117,16 @@ def fit_gravity(
     poses = find_poses(samples.time_s, samples.accel_m_s2, gravity_m_s2, rest_interval)
     rests = measure_rest_errors(samples, samples.accel_m_s2, poses)
     rest_bias = np.array([rest.rate_rad_s for rest in rests])
-    moves = _moves(samples, poses, rests, gravity_m_s2)
+    moves = _moves(samples, poses, rests)
     solver = _GravitySolver(moves)
     solver.run()
     if not solver.explains_moves():
         raise _disagreement(solver, moves)
     rounding_std = np.median([rest.rounding_std_rad_s for rest in rests], axis=0)
     information = _information(solver, rest_bias, rounding_std)
-    information[:9, :9] = solver.information_with_accelerometer(
-        accelerometer_covariance(poses, rests)
-    )
     # Of the reported gain.
     sigma_rad, predicted_rad = solver.sigma_rad, solver.predicted_sigma_rad
     excess = describe_excess(sigma_rad, predicted_rad, len(moves), len(rests))
-    untested = describe_few_rests(len(moves), len(rests))
     outcome = FitOutcome(
         estimate=np.concatenate([solver.gain.ravel(), rest_bias.mean(axis=0), [0.0]]),
         observability=analyse_observability(information, PARAMETER_NAMES),
@@ -127,9 +145,7 @@ def fit_gravity(
             "the result are scaled to this value",
             *warn_of_unchecked_times([samples]),
         ),
-        limited_reasons=tuple(
-            filter(None, ("" if solver.converged else _NOT_CONVERGED, excess, untested))
-        ),
+        limited_reasons=tuple(filter(None, ("" if solver.converged else _NOT_CONVERGED, excess))),
         gravity_moves=GravityMoves(len(moves), len(rests), sigma_rad, predicted_rad),
     )
     return build_gyro_fit(outcome, [samples])
@@ -150,9 +166,7 @@ def _information(
     return information
 
 
-def _moves(
-    samples: GyroSamples, poses: StaticPoses, rests: list[RestErrors], gravity_m_s2: float
-) -> list[GravityMove]:
+def _moves(samples: GyroSamples, poses: StaticPoses, rests: list[RestErrors]) -> list[_Move]:
     """Return the usable moves: without gaps, unsaturated, and with enough rotation."""
     unbroken, broken_count = [], 0
     for k in range(len(poses.rests) - 1):
@@ -166,15 +180,14 @@ def _moves(
         rate = samples.rate_rad_s[part] - (before.rate_rad_s + after.rate_rad_s) / 2.0
         variance = predict_move_variance(before, after, step_s, rate, poses.direction[k])
         directions = (poses.direction[k], poses.direction[k + 1])
-        changes = [poses.accel.direction_derivative(gravity_m_s2 * d) for d in directions]
-        unbroken.append(GravityMove(step_s, rate, *directions, variance, *changes))
+        unbroken.append(_Move(step_s, rate, *directions, variance))
     moves = [move for move in unbroken if move.is_large]
     if len(moves) < MIN_MOVES:
         raise _too_few_moves(unbroken, len(moves), broken_count)
     return moves
 
 
-def _too_few_moves(unbroken: list[GravityMove], count: int, broken_count: int) -> InputError:
+def _too_few_moves(unbroken: list[_Move], count: int, broken_count: int) -> InputError:
     """Return the error of fewer than `MIN_MOVES` moves with enough rotation."""
     mismatch = _find_mismatch(unbroken)
     if mismatch is not None:
@@ -190,7 +203,7 @@ def _too_few_moves(unbroken: list[GravityMove], count: int, broken_count: int) -
     )
 
 
-def _disagreement(solver: "_GravitySolver", moves: list[GravityMove]) -> InputError:
+def _disagreement(solver: "_GravitySolver", moves: list[_Move]) -> InputError:
     """Return the error of a fit that does not explain the moves."""
     mismatch = _find_mismatch(moves)
     if mismatch is not None:
@@ -203,7 +216,7 @@ def _disagreement(solver: "_GravitySolver", moves: list[GravityMove]) -> InputEr
     )
 
 
-def _find_mismatch(moves: list[GravityMove]) -> str | None:
+def _find_mismatch(moves: list[_Move]) -> str | None:
     """Return the wrong axes or units with which the fit explains the moves, None if none do."""
     best, best_cost = None, np.inf
     for mismatch in list_mismatches():
@@ -221,7 +234,7 @@ def _find_mismatch(moves: list[GravityMove]) -> str | None:
 class _GravitySolver:
     """Levenberg-Marquardt over G with analytic derivatives, robust to outlying moves."""
 
-    def __init__(self, moves: list[GravityMove]) -> None:
+    def __init__(self, moves: list[_Move]) -> None:
         self._moves = moves
         self.gain = np.eye(3)
         self.sigma_rad = 0.01
@@ -315,26 +328,6 @@ class _GravitySolver:
         residual, jacobian = self._linearise(self.gain)
         self._update_weights(residual)
         return self._information_matrix(jacobian)
-
-    def information_with_accelerometer(self, covariance: FloatArray) -> FloatArray:
-        """Return the information on G if the accelerometer is uncertain, (9, 9).
-
-        All moves share an error of the accelerometer, so their residuals do not show it.
-
-        Args:
-            covariance: of the unknowns of the accelerometer, (9, 9).
-        """
-        residual, jacobian = self._linearise(self.gain)
-        self._update_weights(residual)
-        information = self._information_matrix(jacobian)
-        inverse = np.asarray(np.linalg.inv(self.gain), dtype=np.float64)
-        changes = np.array([move.accelerometer_change(inverse) for move in self._moves])
-        weighted = jacobian * self._weight[:, None, None] / self.sigma_rad**2
-        cross = np.einsum("mij,mik->jk", weighted, changes)
-        # The covariance of G is I^-1 + I^-1 X C X' I^-1; this is its inverse without I^-1.
-        root = cross @ np.linalg.cholesky(covariance)
-        inner = np.eye(9) + root.T @ np.linalg.pinv(information, hermitian=True) @ root
-        return np.asarray(information - root @ np.linalg.solve(inner, root.T), dtype=np.float64)
 
     def rms_rad_s(self, gain: FloatArray) -> float:
         """Return the rms direction error of the moves over their duration."""

@@ -1,7 +1,7 @@
 """Prediction of the residuals of moves between rests, and the reason if they are much larger.
 
 What to use when: `predict_move_variance` for the moves of a fit to gravity; `describe_excess` for
-the reason that limits the verdict; `describe_few_rests` if the test has no power.
+the reason that limits the verdict.
 
 Theory of operation. The standard uncertainties of the fit are scaled to its residuals. This is
 right for errors that differ between the moves and average out. Lost rows, a wrong rate or a moving
@@ -11,7 +11,6 @@ the gyro and of the accelerometer, the change of the bias between the two rests,
 integration, the misfit of the accelerometer and a rotation during a rest.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -28,9 +27,6 @@ FALSE_ALARM = 1e-4  # probability of the reason without an excess
 # the prediction does not contain. Of 37 measured moves of another laboratory, the ratio is 1.35.
 MIN_RATIO = 2.0
 
-# The residuals test nothing if the test needs a larger ratio.
-MAX_TESTED_RATIO = 10.0
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RestErrors:
@@ -41,7 +37,6 @@ class RestErrors:
     angle_variance_rad2_s: FloatArray  # (3,), of the integral of the noise, per second
     rounding_std_rad_s: FloatArray  # (3,)
     direction_variance_rad2: float  # of gravity, in each direction
-    force_variance_m2_s4: float  # of the mean specific force, by noise
 
 
 def measure_rest_errors(
@@ -73,8 +68,8 @@ def _measure_rest(
     # The misfit of |force| is the error of a pose along gravity; across it, it is similar. The nine
     # unknowns of the accelerometer contribute, too.
     unknowns_share = 9.0 / max(len(poses.rests) - 9, 1)
-    force_variance = float(np.mean(_std_of_mean(force) ** 2))
-    noise = force_variance + poses.accel.residual_m_s2**2 * (1.0 + unknowns_share)
+    noise = float(np.mean(_std_of_mean(force) ** 2))
+    noise += poses.accel.residual_m_s2**2 * (1.0 + unknowns_share)
     # Rounding is white noise of q^2/12 in motion, and hides smaller noise at rest.
     least = samples.quantum_rad_s**2 / 12.0 * samples.period_s
     return RestErrors(
@@ -83,21 +78,7 @@ def _measure_rest(
         angle_variance_rad2_s=np.maximum(rate_std**2 * len(rate) * samples.period_s, least),
         rounding_std_rad_s=std_by_rounding(rate, samples.quantum_rad_s),
         direction_variance_rad2=noise / gravity_m_s2**2 + float(turned) ** 2 / 2.0,
-        force_variance_m2_s4=force_variance,
     )
-
-
-def accelerometer_covariance(poses: StaticPoses, rests: Sequence[RestErrors]) -> FloatArray:
-    """Return the covariance of the unknowns of the accelerometer, (9, 9).
-
-    The misfit of few poses is small by chance, but the noise of the poses is a lower limit.
-
-    Args:
-        poses: the rests.
-        rests: their errors.
-    """
-    noise_m2_s4 = float(np.mean([rest.force_variance_m2_s4 for rest in rests]))
-    return poses.accel.unit_covariance * max(poses.accel.residual_m_s2**2, noise_m2_s4)
 
 
 def _std_of_mean(values: FloatArray) -> FloatArray:
@@ -161,7 +142,9 @@ def describe_excess(
         rest_count: number of rests, whose scatter gives the prediction.
     """
     ratio = sigma_rad / predicted_rad
-    if ratio < MIN_RATIO or not _is_significant(ratio, move_count, rest_count):
+    # The fit of the gain and that of the accelerometer have nine unknowns each.
+    move_freedom, rest_freedom = max(2 * move_count - 9, 1), max(rest_count - 9, 1)
+    if ratio < MIN_RATIO or f_upper_tail(ratio**2, move_freedom, rest_freedom) > FALSE_ALARM:
         return ""
     return (
         "the residuals of the moves have a standard deviation of "
@@ -172,30 +155,3 @@ def describe_excess(
         "not contain this error. Import the times of the samples, lay the board down in each pose, "
         "and record again"
     )
-
-
-def describe_few_rests(move_count: int, rest_count: int) -> str:
-    """Return why too few rests limit the verdict, "" if the residuals can be tested.
-
-    Args:
-        move_count: number of moves.
-        rest_count: number of rests.
-    """
-    if _is_significant(MAX_TESTED_RATIO, move_count, rest_count):
-        return ""
-    needed_count = rest_count + 1
-    while not _is_significant(MAX_TESTED_RATIO, needed_count - 1, needed_count):
-        needed_count += 1
-    return (
-        f"{rest_count} rests are too few to test the residuals of the moves: residuals "
-        f"{MAX_TESTED_RATIO:g} times as large as the noise would not be significant, so lost rows "
-        "or a board that moves during the rests can be overlooked. Record again with at least "
-        f"{needed_count} different poses"
-    )
-
-
-def _is_significant(ratio: float, move_count: int, rest_count: int) -> bool:
-    """Return whether the F test finds a ratio of the residuals to their prediction."""
-    # The fit of the gain and that of the accelerometer have nine unknowns each.
-    move_freedom, rest_freedom = max(2 * move_count - 9, 1), max(rest_count - 9, 1)
-    return f_upper_tail(ratio**2, move_freedom, rest_freedom) <= FALSE_ALARM

@@ -40,23 +40,6 @@ class AccelerometerCalibration:
     residual_m_s2: float  # standard deviation of |force| - gravity over the poses
     condition: float  # column-normalised
     pose_count: int
-    # (9, 9), of the entries of U by rows and of the offset, for an error of 1 m/s2 of each pose.
-    unit_covariance: FloatArray
-
-    def direction_derivative(self, force_m_s2: FloatArray) -> FloatArray:
-        """Return the derivative of a direction of gravity by the nine unknowns, (3, 9).
-
-        Args:
-            force_m_s2: specific force of the pose, (3,).
-        """
-        rows, columns = np.triu_indices(3)
-        derivative = np.zeros((3, 9))
-        derivative[rows, np.arange(6)] = np.linalg.solve(self.matrix, force_m_s2)[columns]
-        derivative[:, 6:] = -self.matrix
-        length_m_s2 = float(np.linalg.norm(force_m_s2))
-        direction = force_m_s2 / length_m_s2
-        across = np.eye(3) - np.outer(direction, direction)
-        return np.asarray(across @ derivative / length_m_s2, dtype=np.float64)
 
     def apply(self, reading_m_s2: FloatArray) -> FloatArray:
         """Return specific force for readings of shape (n, 3)."""
@@ -186,16 +169,13 @@ def calibrate_accelerometer(
             break
     residual = gravity_m_s2 - np.linalg.norm((means_m_s2 - offset) @ matrix.T, axis=1)
     freedom = max(1, len(means_m_s2) - 9)
-    scaled = jacobian / scale
-    singular = np.linalg.svd(scaled, compute_uv=False)
-    unit_covariance = np.linalg.pinv(scaled.T @ scaled, hermitian=True) / np.outer(scale, scale)
+    singular = np.linalg.svd(jacobian / scale, compute_uv=False)
     return AccelerometerCalibration(
         matrix=matrix,
         offset_m_s2=offset,
         residual_m_s2=float(np.sqrt(residual @ residual / freedom)),
         condition=float(singular[0] / max(singular[-1], 1e-300)),
         pose_count=len(means_m_s2),
-        unit_covariance=np.asarray(unit_covariance, dtype=np.float64),
     )
 
 
