@@ -8,6 +8,11 @@ from gyrorig_protocol.motion_orders import AxisOrder
 from gyrorig_protocol.ptu import PtuCommand, Reading, Reply
 
 
+def is_accepted(reply: Reply | None, limit_hit: bool) -> bool:
+    """Return whether the unit executes a command with this reply."""
+    return reply is not None and reply.ok and not limit_hit
+
+
 class Exchange(msgspec.Struct, frozen=True, gc=False):
     """One command and its reply, with times on the raw monotonic clock.
 
@@ -28,7 +33,7 @@ class Exchange(msgspec.Struct, frozen=True, gc=False):
     @property
     def accepted(self) -> bool:
         """Whether the unit has acknowledged the command, and reached no limit meanwhile."""
-        return self.reply is not None and self.reply.ok and not self.limit_hit
+        return is_accepted(self.reply, self.limit_hit)
 
 
 class Position(msgspec.Struct, frozen=True, gc=False):

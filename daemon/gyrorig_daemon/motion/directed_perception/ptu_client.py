@@ -21,7 +21,7 @@ from collections.abc import Callable
 from gyrorig_daemon.links.ports.port_hub import Chunk, PortChange, WriteTimes
 from gyrorig_daemon.links.pump import Pump
 from gyrorig_daemon.motion.pan_tilt_driver import no_answer_error, unidentified_error
-from gyrorig_daemon.motion.ptu_exchange import Exchange, PtuLineCounts
+from gyrorig_daemon.motion.ptu_exchange import Exchange, PtuLineCounts, is_accepted
 from gyrorig_protocol.errors import DeviceError
 from gyrorig_protocol.ptu import (
     Axis,
@@ -309,7 +309,7 @@ class PtuClient:
             first_ns, last_ns = reply.first_byte_ns, reply.last_byte_ns
             wait_ns = last_ns - write_times.before_ns
             self.counts.reply_wait_max_ns = max(self.counts.reply_wait_max_ns, wait_ns)
-        is_accepted = reply is not None and reply.ok and not self._limit_hit
+        accepted = is_accepted(reply, self._limit_hit)
         return Exchange(
             command=command,
             request_ns=write_times.before_ns,
@@ -319,7 +319,7 @@ class PtuClient:
             reply=reply,
             raw=bytes(self._raw),
             limit_hit=self._limit_hit,
-            orders=() if is_poll else self._translator.translate(command.text, is_accepted),
+            orders=() if is_poll else self._translator.translate(command.text, accepted),
             reading=None if reply is None else read_value(command, reply),
         )
 
