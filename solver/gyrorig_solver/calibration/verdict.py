@@ -5,6 +5,7 @@ from typing import Literal
 
 from gyrorig_protocol.profile import SensorProfile
 from gyrorig_solver.calibration.calibration_document import Trust
+from gyrorig_solver.data.lost_sample_remedies import lost_samples_remedy
 from gyrorig_solver.estimate import GyroFit
 from gyrorig_solver.model import DEG_PER_RAD, plural
 
@@ -30,9 +31,8 @@ def judge_fit(fit: GyroFit) -> Trust:
         )
     total = fit.samples + fit.lost
     if fit.lost > _LOST_SHARE * max(total, 1):
-        reasons.append(
-            f"{fit.lost} of {total} samples were lost. Lower the output rate or raise the baud rate"
-        )
+        remedy = lost_samples_remedy(fit.link)
+        reasons.append(f"{fit.lost} of {total} samples were lost. {remedy[:1].upper()}{remedy[1:]}")
     if fit.outliers > _OUTLIER_SHARE * max(fit.samples, 1):
         reasons.append(
             f"{plural(fit.outliers, 'sample was', 'samples were')} rejected as outliers. Check the "

@@ -10,6 +10,7 @@ from gyrorig_protocol.errors import sentence
 from gyrorig_protocol.recording.mcap.losses import LossCause
 from gyrorig_solver.calibration.calibration_wording import collapse_groups
 from gyrorig_solver.check.recording_health import BoardHealth, RecordingHealth
+from gyrorig_solver.data.lost_sample_remedies import lost_samples_remedy
 
 MAX_LOST_SHARE = 0.02  # above this share a calibration is limited
 
@@ -86,10 +87,7 @@ def _board_messages(board: BoardHealth) -> Iterator[str]:
         yield f"{name} cannot be used, because {board.fault}"
         return
     if board.lost > MAX_LOST_SHARE * (board.samples + board.lost):
-        yield (
-            f"{name} lost {board.lost} samples. Lower the output rate of the board, or raise its "
-            "baud rate."
-        )
+        yield (f"{name} lost {board.lost} samples. {sentence(lost_samples_remedy(board.link))}")
     if board.saturated > 0:
         yield (
             f"{name} has {board.saturated} saturated samples. "

@@ -41,6 +41,7 @@ class BoardHealth:
     no_reference: str = ""  # the reason for that
     fault: str = ""  # why the board cannot be used
     clock_steps: int = 0  # of its clock or the host's, without a restart
+    link: str = "serial"  # as in the metadata of the board
     attitudes: AttitudeHealth | None = None  # the reference attitudes, on the board's time axis
 
 
@@ -156,6 +157,7 @@ def _board_health(recording: Recording, board: BoardId) -> BoardHealth:
         observability=observability,
         no_reference=no_reference,
         clock_steps=clock.steps,
+        link=samples.link,
         attitudes=examine_attitudes(recording, samples),
     )
 

@@ -73,6 +73,16 @@ class GyroSamples:
     exchanges: ClockExchanges | None = None  # clock requests of the host; None after a clock reset
 
     @property
+    def link(self) -> str:
+        """The way on which the samples arrived: `serial`, `can`, or `file` if imported."""
+        return self.metadata.get("link", "serial")
+
+    @property
+    def is_imported(self) -> bool:
+        """Whether another program recorded the samples, so that no host checked their times."""
+        return self.link == "file"
+
+    @property
     def gyro(self) -> CountColumn:
         """The rates as counts, with `scale` in rad/s; 16-bit counts if they fit."""
         column = stored_column(self, "rate_rad_s")

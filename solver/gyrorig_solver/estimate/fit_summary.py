@@ -111,6 +111,7 @@ def build_gyro_fit(outcome: FitOutcome, samples: Sequence[GyroSamples]) -> GyroF
         reduced_chi2=outcome.reduced_chi2,
         samples=sum(recording_samples.usable.size for recording_samples in samples),
         lost=sum(recording_samples.lost for recording_samples in samples),
+        link=max(samples, key=lambda recording_samples: recording_samples.lost).link,
         outliers=outcome.outliers,
         rate_range_rad_s=outcome.rate_range_rad_s or _rate_range(samples),
         rms_before_rad_s=outcome.rms_before_rad_s,
@@ -145,8 +146,7 @@ def warn_of_unchecked_times(samples: Sequence[GyroSamples]) -> tuple[str, ...]:
     both, and its times can be nominal.
     """
     has_one_clock = [
-        each.metadata.get("link") == "file" and abs(each.clock.skew_ppm) < SAME_CLOCK_PPM
-        for each in samples
+        each.is_imported and abs(each.clock.skew_ppm) < SAME_CLOCK_PPM for each in samples
     ]
     if not any(has_one_clock):
         return ()

@@ -158,6 +158,7 @@ class GyroFit:
     temperature: TemperatureFit | None = None  # the bias over temperature
     recordings: tuple[RecordingFit, ...] = ()  # in the order of time, if there are several
     reference_clock_skew: float = 0.0  # corrected, of the reference relative to the gyro's clock
+    link: str = "serial"  # on which most of the lost samples were lost
 
     @property
     def identified(self) -> bool:

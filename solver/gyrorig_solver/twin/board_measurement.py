@@ -186,7 +186,7 @@ def _measure_odr(samples: GyroSamples, stamp_jitter: Scalar | None) -> Scalar | 
 def _measure_clock(samples: GyroSamples) -> TwinClock:
     """Return the clock of the board; imported samples have the clock of their times only."""
     tick_hz = positive_number(samples.metadata, "tick_hz")
-    if tick_hz is None or samples.metadata.get("link") == "file":
+    if tick_hz is None or samples.is_imported:
         return TwinClock()
     span_s = float(samples.time_s[-1] - samples.time_s[0])
     clock = samples.clock
@@ -214,7 +214,7 @@ def _measure_stamp_jitter(recording: Recording, samples: GyroSamples) -> Scalar 
     An exponential delay has a standard deviation equal to its mean.
     """
     tick_hz = positive_number(samples.metadata, "tick_hz")
-    if tick_hz is None or samples.metadata.get("link") == "file":
+    if tick_hz is None or samples.is_imported:
         return None
     board = BoardId(samples.board)
     ticks = recording.imu_field(board, "device_time")[:MAX_STAMPS].astype(np.int64)

@@ -252,7 +252,7 @@ def measure_link(boards: Mapping[str, BoardData]) -> MeasuredLink:
 
 def _is_live(samples: GyroSamples) -> bool:
     """Return whether the samples have arrival times."""
-    return samples.metadata.get("link") != "file" and "tick_hz" in samples.metadata
+    return not samples.is_imported and "tick_hz" in samples.metadata
 
 
 def _floor_of_board(name: str, data: BoardData) -> HostFloor | None:

@@ -2,10 +2,10 @@
 
 import numpy as np
 
+from gyrorig_solver.data.lost_sample_remedies import lost_samples_remedy
 from gyrorig_solver.data.stream.count_stream import CheckResult, CountStream, StreamFinding
 
 CHECK_NAME = "gaps and restarts"
-LOST_REMEDY = "lower the board's output rate, raise the baud rate, or reduce the load of the host"
 RESTART_REMEDY = "check the board's supply and its cable"
 STEP_REMEDY = "do not suspend the host, and check the board's firmware"
 
@@ -32,7 +32,7 @@ def check_counter_gaps(stream: CountStream) -> CheckResult:
                 "1",
                 f"{samples.lost} of {total} samples ({100.0 * share:.2g} %) are missing by the "
                 f"board's counter, in {gaps.size} gaps",
-                LOST_REMEDY,
+                lost_samples_remedy(samples.link),
                 stream.times_s(gaps + 1),
             )
         )

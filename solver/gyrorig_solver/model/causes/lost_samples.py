@@ -34,9 +34,7 @@ class LostSamples(TimeTerm):
         EVENT_TIME,
     )
     confused_with = ("clock_step", "clock_skew")
-    remedy = (
-        "send a sequence number with every sample, lower the output rate, or raise the baud rate"
-    )
+    remedy = "send and store a sequence number with every sample, or lower the output rate"
     covariates = ("move_delay",)
     picture = BinnedDependence("lag", "time")
     first_order_equivalent = "clock_step"
