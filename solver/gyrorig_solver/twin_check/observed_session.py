@@ -95,6 +95,11 @@ class ObservedSession:
         """Blocks with a used sample, shape (n,)."""
         return self.series.used_blocks(self.used_samples)
 
+    @property
+    def block_samples(self) -> BoolArray:
+        """Used samples of each block, shape (n, samples_per_block)."""
+        return self.used_samples.reshape(self.block_count, -1)
+
     @cached_property
     def rate_rad_s(self) -> FloatArray:
         """Measured block means, shape (n, 3)."""

@@ -8,50 +8,29 @@ with unknown errors d_k of the start of each move and an unknown offset b of the
 simulation's power-up. Both are Gaussian: d_k with the uncertainty of the position replies, b with
 the scatter of the simulated sessions. They are integrated out. The noise has the density of the
 simulation's noise, which is estimated from simulated minus noise-free rates. In the DCT it is
-diagonal, see `estimate.noise.noise_model`. The unknowns add a matrix of low rank.
+diagonal, see `estimate.noise.noise_model`; `received_noise` has the missing blocks. The unknowns
+add a matrix of low rank.
 
 The predictive density is the mean over the draws: log p(y) = log mean exp(log p(y | draw)).
 
-What to use when: `estimate_noise` for the noise of a simulation, `RateDensity` for a recording.
+What to use when: `RateDensity` for a recording.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass
-
 import numpy as np
-from scipy.fft import dct
-from scipy.linalg import cho_factor, cho_solve
 
 from gyrorig_solver.data import FloatArray
-from gyrorig_solver.estimate import (
-    NoiseModel,
-    Periodogram,
-    Sampling,
-    bin_spectrum,
-    fit_noise_levels,
-)
 from gyrorig_solver.twin_check.observed_session import ObservedSession
 from gyrorig_solver.twin_check.predicted_rates import SimulatedRates
+from gyrorig_solver.twin_check.received_noise import (
+    ReceivedDensity,
+    ReceivedNoise,
+    SimulatedNoise,
+    constant_signals,
+)
 
 MIN_START_STD_S = 5e-6  # the poll fit states the scatter of the replies only
 OFFSETS = 3  # the last unknowns, one per axis
 FREE_OFFSET_FACTOR = 30.0  # of their standard deviation, if they are removed instead of predicted
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class SimulatedNoise:
-    """The noise of a simulation."""
-
-    model: NoiseModel
-    bias_std_rad_s: FloatArray  # (3,), scatter of a session's mean
-
-
-def estimate_noise(noises: Sequence[FloatArray], sampling: Sampling) -> SimulatedNoise:
-    """Return the noise of a simulation from pure noise of several sessions, (n, 3) each."""
-    pieces = [Periodogram.of(noise, sampling.rate_hz) for noise in noises]
-    model = fit_noise_levels(bin_spectrum(pieces), sampling)
-    means = np.stack([noise.mean(axis=0) for noise in noises])
-    return SimulatedNoise(model, np.sqrt((means**2).mean(axis=0)))
 
 
 class RateDensity:
@@ -68,29 +47,24 @@ class RateDensity:
             noise: of the simulation.
         """
         self._session = session
-        n = session.block_count
-        self._variance = noise.model.dct_variance(n).T  # (3, n)
-        columns, std = _unknowns(session, nearest, noise)
-        self._columns = columns
-        self._std = std
-        whitened = dct(columns, axis=-1, norm="ortho") / np.sqrt(self._variance)
-        self._whitened = whitened.reshape(len(columns), -1)
-        scaled = self._whitened * std[:, None]
-        self._factor = cho_factor(np.eye(len(std)) + scaled @ scaled.T)
-        used_share = float(session.used.mean())
-        self._constant = -0.5 * used_share * float(np.log(2.0 * np.pi * self._variance).sum())
-        self._constant -= float(np.log(np.diag(self._factor[0])).sum())
+        self._noise = ReceivedNoise.of(noise, session.block_samples)
+        self._columns, self._std = _unknowns(session, nearest, noise)
+        self._density = ReceivedDensity.of(self._noise, self._columns, self._std)
 
-    def log_density(self, predicted_rad_s: FloatArray) -> float:
-        """Return the log density of the measured rates, nats.
+    @property
+    def mean_log_density(self) -> float:
+        """The mean of the log density over the noise and the unknowns, nats."""
+        return self._density.mean
+
+    def excess(self, predicted_rad_s: FloatArray) -> float:
+        """Return the log density of the measured rates minus its mean, nats.
+
+        Recordings with different missing samples have different means.
 
         Args:
             predicted_rad_s: block means, shape (n, 3).
         """
-        white = self._whiten(self._residual(predicted_rad_s))
-        score = self._std * (self._whitened @ white)
-        explained = float(score @ cho_solve(self._factor, score))
-        return self._constant - 0.5 * (float(white @ white) - explained)
+        return self._density.excess(self._residual(predicted_rad_s).T)
 
     def residual(self, predicted_rad_s: FloatArray) -> FloatArray:
         """Return measured minus predicted rates without the fitted unknowns, shape (n, 3).
@@ -109,7 +83,7 @@ class RateDensity:
         """Return the unknowns of a residual (n, 3), with nearly free offsets, shape (j,)."""
         std = self._std.copy()
         std[-OFFSETS:] *= FREE_OFFSET_FACTOR
-        scaled = self._whitened * std[:, None]
+        scaled = self._density.whitened * std[:, None]
         score = scaled @ self._whiten(residual)
         solved = np.linalg.solve(np.eye(len(std)) + scaled @ scaled.T, score)
         return np.asarray(std * solved, dtype=np.float64)
@@ -120,24 +94,19 @@ class RateDensity:
 
     def white_column(self, signal: FloatArray, axis: int) -> FloatArray:
         """Return the DCT of a signal of one axis (n,) in units of the noise, (n,)."""
-        spectrum = dct(signal, norm="ortho") / np.sqrt(self._variance[axis])
+        spectrum = self._noise.spectrum(signal) / np.sqrt(self._noise.variance[axis])
         return np.asarray(spectrum, dtype=np.float64)
+
+    def completed(self, residual: FloatArray) -> FloatArray:
+        """Return a residual (n, 3) with the spectrum that it would have with all samples."""
+        return self._noise.completed(residual)
 
     def _residual(self, predicted_rad_s: FloatArray) -> FloatArray:
         residual = self._session.rate_rad_s - predicted_rad_s
         return np.where(self._session.used[:, None], residual, 0.0)
 
     def _whiten(self, residual: FloatArray) -> FloatArray:
-        spectrum = dct(residual.T, axis=-1, norm="ortho") / np.sqrt(self._variance)
-        return np.asarray(spectrum.reshape(-1), dtype=np.float64)
-
-
-def noise_log_density(noise_rad_s: FloatArray, noise: SimulatedNoise) -> float:
-    """Return the log density of pure noise (n, 3) under the model of this noise, nats."""
-    variance = noise.model.dct_variance(noise_rad_s.shape[0])
-    variance[0] += noise.bias_std_rad_s**2 * noise_rad_s.shape[0]
-    spectrum = dct(noise_rad_s, axis=0, norm="ortho")
-    return -0.5 * float((np.log(2.0 * np.pi * variance) + spectrum**2 / variance).sum())
+        return self._noise.whiten(residual.T).reshape(-1)
 
 
 def log_mean_exp(values: FloatArray) -> float:
@@ -157,9 +126,6 @@ def _unknowns(
     if columns:
         columns.append(np.sum(columns, axis=0))
         std.append(max(session.reference.common_shift_std_s, MIN_START_STD_S))
-    for axis in range(3):
-        constant = np.zeros((3, session.block_count))
-        constant[axis] = 1.0
-        columns.append(constant)
-        std.append(float(noise.bias_std_rad_s[axis]))
+    columns += list(constant_signals(session.used))
+    std += noise.bias_std_rad_s.tolist()
     return np.stack(columns), np.array(std)

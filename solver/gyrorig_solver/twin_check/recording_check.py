@@ -17,12 +17,13 @@ from gyrorig_solver.twin_check.feature_comparison import (
 )
 from gyrorig_solver.twin_check.observed_session import ObservedSession
 from gyrorig_solver.twin_check.predicted_rates import SimulatedRates
-from gyrorig_solver.twin_check.predictive_density import (
-    RateDensity,
+from gyrorig_solver.twin_check.predictive_density import RateDensity, log_mean_exp
+from gyrorig_solver.twin_check.received_noise import (
+    ReceivedDensity,
+    ReceivedNoise,
     SimulatedNoise,
+    constant_signals,
     estimate_noise,
-    log_mean_exp,
-    noise_log_density,
 )
 from gyrorig_solver.twin_check.session_features import session_features
 from gyrorig_solver.twin_check.simulation import SimulatedRun
@@ -35,8 +36,9 @@ class StageCheck:
     """The comparison of the measurement with one simulation."""
 
     nats_per_s: float  # log predictive density of the measured rates
-    draws_nats_per_s: FloatArray  # the same for each simulated session under the other draws
-    ceiling_nats_per_s: float  # of the simulation's noise alone
+    # the same for each simulated session under the other draws, if its samples were those measured
+    draws_nats_per_s: FloatArray
+    ceiling_nats_per_s: float  # of the simulation's noise alone, at the measured samples
     ceiling_std_nats_per_s: float  # scatter of the same between sessions
     nats_by_draw: FloatArray  # log density of the measured rates under each draw, nats
     density_p_value: float  # probability that a simulated session is predicted worse
@@ -164,9 +166,15 @@ def _draw(run: SimulatedRun, board: str) -> _Draw:
 
 def _check_stage(session: ObservedSession, runs: Sequence[_Draw]) -> StageCheck:
     best, draws = runs[0], list(runs[1:])
-    noise = estimate_noise([run.noise_rad_s for run in runs], session.sampling)
+    noise = estimate_noise(
+        [run.noise_rad_s for run in runs],
+        [run.session.block_samples for run in runs],
+        session.sampling,
+    )
     density = RateDensity(session, best.rates, noise)
-    by_draw = np.array([density.log_density(draw.rates.at(session)) for draw in draws])
+    mean_nats_per_s = density.mean_log_density / session.duration_s
+    by_draw = np.array([density.excess(draw.rates.at(session)) for draw in draws])
+    by_draw += density.mean_log_density
     predicted = best.rates.at(session)
     residual = density.residual(predicted)
     limits: dict[str, tuple[float, float]] = {}
@@ -176,7 +184,8 @@ def _check_stage(session: ObservedSession, runs: Sequence[_Draw]) -> StageCheck:
     for row, draw in enumerate(draws):
         own_density = RateDensity(draw.session, best.rates, noise)
         others = [other for k, other in enumerate(draws) if k != row]
-        nats.append(_mixture(own_density, draw.session, others) / draw.session.duration_s)
+        excess = _mixture_excess(own_density, draw.session, others)
+        nats.append(mean_nats_per_s + excess / draw.session.duration_s)
         own_predicted = best.rates.at(draw.session)
         draw_residual = own_density.residual(own_predicted)
         offset = own_density.offsets_rad_s(own_predicted)
@@ -185,7 +194,7 @@ def _check_stage(session: ObservedSession, runs: Sequence[_Draw]) -> StageCheck:
             first_residual = draw_residual
     nats_per_s = log_mean_exp(by_draw) / session.duration_s
     draws_nats_per_s = np.array(nats)
-    ceilings = _ceilings(runs, noise)
+    ceilings = _ceilings(session, runs, noise)
     return StageCheck(
         nats_per_s=nats_per_s,
         draws_nats_per_s=draws_nats_per_s,
@@ -200,12 +209,26 @@ def _check_stage(session: ObservedSession, runs: Sequence[_Draw]) -> StageCheck:
     )
 
 
-def _mixture(density: RateDensity, session: ObservedSession, draws: Sequence[_Draw]) -> float:
-    return log_mean_exp(np.array([density.log_density(draw.rates.at(session)) for draw in draws]))
+def _mixture_excess(
+    density: RateDensity, session: ObservedSession, draws: Sequence[_Draw]
+) -> float:
+    return log_mean_exp(np.array([density.excess(draw.rates.at(session)) for draw in draws]))
 
 
-def _ceilings(runs: Sequence[_Draw], noise: SimulatedNoise) -> FloatArray:
-    """Return the log density of the pure noise of each run, nats per second."""
-    return np.array(
-        [noise_log_density(run.noise_rad_s, noise) / run.session.duration_s for run in runs]
-    )
+def _ceilings(session: ObservedSession, runs: Sequence[_Draw], noise: SimulatedNoise) -> FloatArray:
+    """Return the log density of the pure noise of each run, nats per second.
+
+    Runs can have other missing samples than the measurement. The excess of each run is added to the
+    mean log density of the measured samples.
+    """
+    mean = _noise_density(session, noise).mean / session.duration_s
+    excesses = [
+        _noise_density(run.session, noise).excess(run.noise_rad_s.T) / run.session.duration_s
+        for run in runs
+    ]
+    return mean + np.array(excesses)
+
+
+def _noise_density(session: ObservedSession, noise: SimulatedNoise) -> ReceivedDensity:
+    received = ReceivedNoise.of(noise, session.block_samples)
+    return ReceivedDensity.of(received, constant_signals(session.used), noise.bias_std_rad_s)

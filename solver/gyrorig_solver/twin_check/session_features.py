@@ -70,7 +70,7 @@ def session_features(
     families = [
         _bias_family(offset_rad_s),
         *_residual_families(session, density, residual_rad_s, limits),
-        *_noise_families(session, residual_rad_s),
+        *_noise_families(session, density.completed(residual_rad_s)),
         *_motion_families(session),
         *_latency_families(session),
         *_clock_families(session),
