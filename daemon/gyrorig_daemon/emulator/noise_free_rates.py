@@ -14,7 +14,6 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from gyrorig_daemon.emulator.board.emulated_protocol import find_emulated_protocol
 from gyrorig_daemon.emulator.emulated_rig import EmulatedRig
 from gyrorig_daemon.emulator.emulator_settings import BoardSettings, RigSettings
 from gyrorig_daemon.emulator.physics.imu import ImuModel
@@ -253,14 +252,12 @@ def _simulate_rates(
     """Return times and rates of a board from power-up on, with delayed motion."""
     imu = rig.board_truth(board.name).imu
     hooks = rig.fresh_hooks().board(board.name)
-    has_batches = find_emulated_protocol(board.format).has_batches
-    samples_per_frame = board.batch if has_batches else 1
     model = ImuModel(
         replace(imu, tau_s=imu.tau_s + delay_s),
         rig.stage,
         0.0,
         np.random.default_rng(0),  # all noise amplitudes are zero
-        max(samples_per_frame, _LARGE_BLOCK),
+        _LARGE_BLOCK,
         hooks,
     )
     times: list[FloatArray] = []

@@ -101,3 +101,23 @@ def test_a_session_with_such_an_imu_is_solved(tmp_path: Path) -> None:
     truth = EmulatedRig(emulated_rig_settings(load_rig(tmp_path / "rig.yaml")), 0).truth
     error = (fit.gain - truth.boards["M-1"].imu.gain) / fit.gain_std
     assert np.nanmax(np.abs(error)) < 5.0
+
+
+def test_the_noise_free_rates_of_a_session_are_those_of_its_samples(tmp_path: Path) -> None:
+    """Before: "an emulated board does not speak the protocol signals"."""
+    rig_path, program = rig_file(tmp_path, MAP), tmp_path / "p.yaml"
+    program.write_text(
+        "schema: gyrorig/program/1\nname: p\nsteps:\n  - rest: {seconds: 1.0}\n"
+        "  - move: {pan_deg: 30.0, speed_deg_s: 40.0}\n"
+    )
+    arguments = ["record", "--config", str(rig_path), "--program", str(program),
+                 "--out", str(tmp_path), "--simulated-time", "--rates", str(tmp_path / "rates.npz"),
+                 "--truth", str(tmp_path / "truth.yaml")]  # fmt: skip
+    assert run(arguments) == 0
+    recording = read_recording(next(tmp_path.glob("*.mcap")))
+    columns = recording.imu_columns(recording.board_ids[0])
+    scale = float(recording.metadata["gyrorig.board.M-1"]["gyro_scale_rad_s"])
+    with np.load(tmp_path / "rates.npz") as arrays:
+        noise_free = arrays["M-1.hidden_rad_s"][columns.sequence]
+    assert np.ptp(noise_free[:, 2]) > 0.5
+    assert (columns.gyro * scale - noise_free).std(axis=0).max() < 0.006
