@@ -46,7 +46,7 @@ def run(arguments: Sequence[str]) -> int:
         return 1
     except Exception as error:  # noqa: BLE001, RUF100 - the edge: every error becomes one line
         if terminal.traceback or os.environ.get(TRACEBACK_VARIABLE):
-            traceback.print_exc()
+            _print_traceback()
         return _report_error(error, "--json" in arguments)
     return returned if isinstance(returned, int) else 0
 
@@ -77,6 +77,14 @@ def _run_command(arguments: list[str], terminal: "Terminal") -> object:
     command = keep_example_lines(command)
     with ProgressLine(is_interactive() and not terminal.quiet):
         return command.main(words[1:], prog_name=f"{name} {words[0]}", standalone_mode=False)
+
+
+def _print_traceback() -> None:
+    """Print the traceback of the current error; its text can be that of a device or of a file."""
+    from gyrorig_daemon.commands.terminal import print_line  # noqa: PLC0415
+
+    for line in traceback.format_exc().split("\n")[:-1]:
+        print_line(line, to_stderr=True)
 
 
 def _report_error(error: Exception, as_json: bool) -> int:

@@ -157,7 +157,7 @@ def run(arguments: Sequence[str]) -> int:
         return _print_failure(terminal, "stopped by Ctrl-C", _INTERRUPTED)
     except Exception as fault:  # noqa: BLE001, RUF100 - the edge: every error becomes one line
         if terminal.traceback:
-            traceback.print_exc()
+            sys.stderr.write(printable(traceback.format_exc()))
         return _report_error(terminal, fault, arguments)
     return returned if isinstance(returned, int) else 0
 

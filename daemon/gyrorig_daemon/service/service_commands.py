@@ -191,8 +191,8 @@ def enqueue_command(
     click.echo(json.dumps({"job": path.stem, "file": str(path)}) if as_json else path.stem)
     if no_daemon:
         click.echo(
-            f"{sentence(no_daemon)} The job starts when you start the daemon with `gyrorigd run` "
-            "or `systemctl start gyrorigd`.",
+            f"{escape_controls(sentence(no_daemon))} The job starts when you start the daemon "
+            "with `gyrorigd run` or `systemctl start gyrorigd`.",
             err=True,
         )
 
@@ -267,7 +267,7 @@ COMMANDS: tuple[click.Command, ...] = (
 def _send_and_print(socket_path: Path, command: str, as_json: bool) -> None:
     response: dict[str, Any] = send_command(socket_path, command)
     message = str(response.get("said", "done"))
-    click.echo(json.dumps({"said": message}) if as_json else message)
+    click.echo(json.dumps({"said": message}) if as_json else escape_controls(message))
 
 
 @contextmanager

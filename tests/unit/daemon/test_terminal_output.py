@@ -33,6 +33,20 @@ def test_an_error_with_a_reply_of_a_unit(
     assert "title" in json.loads(printed.out)["error"]
 
 
+@pytest.mark.parametrize("words", [["--traceback"], []])
+def test_an_error_with_its_traceback(
+    words: list[str],
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setenv("GYRORIG_TRACEBACK", "1")
+    assert cli.run([*words, "status", "--socket", str(tmp_path / "a\x1b[2J")]) == 1
+    text = capsys.readouterr().err
+    assert "Traceback (most recent call last):\n" in text
+    assert is_plain(text)
+
+
 def test_a_finding_of_the_doctor(capsys: pytest.CaptureFixture[str]) -> None:
     doctor_command._print(warning("unit", "foreign", f"it answers {HOSTILE}", f"read {HOSTILE}"))
     assert is_plain(capsys.readouterr().out)
