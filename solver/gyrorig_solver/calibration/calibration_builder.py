@@ -41,7 +41,7 @@ from gyrorig_solver.calibration.temperature_record import (
     TemperaturePoint,
     TemperatureRecord,
 )
-from gyrorig_solver.calibration.verdict import judge_fit, profile_warnings
+from gyrorig_solver.calibration.verdict import judge_fit, mirror_warnings, profile_warnings
 from gyrorig_solver.data import FloatArray
 from gyrorig_solver.estimate import GyroFit, TemperatureFit
 from gyrorig_solver.estimate.fit_summary import SAME_CLOCK_PPM
@@ -240,7 +240,11 @@ def _quality(fit: GyroFit, profile: SensorProfile | None, origin: Provenance) ->
     return Quality(
         reduced_chi2=finite_values(fit.reduced_chi2),
         held_out=None if None in rms else HeldOut(*rms),
-        warnings=[*fit.warnings, *profile_warnings(fit, profile, full_scale_dps)],
+        warnings=[
+            *fit.warnings,
+            *mirror_warnings(fit),
+            *profile_warnings(fit, profile, full_scale_dps),
+        ],
         outliers=int(fit.outliers),
         rest_to_rest=None if check is None else document_part(RestToRestCheck, check),
         level=None if fit.level is None else level_record(fit.level),

@@ -73,16 +73,29 @@ def _exclusion_sentence(calibration: CalibrationDocument) -> str:
             return "Tests of the residual found no further effect."
         subject = "Rig errors below this limit are" if calibration.noise else "Rig errors are"
         return f"{subject} not excluded; run `gyrorig explain`."
-    terms = calibration.solver.terms
-    fitted = ", ".join(n.replace("_", " ") for n in findings.distinct_causes if n in terms)
-    others = ", ".join(n.replace("_", " ") for n in findings.distinct_causes if n not in terms)
+    causes, terms = findings.distinct_causes, calibration.solver.terms
+    fitted = [cause for cause in causes if cause in terms]
+    in_gain = [  # a negative or a doubled scale factor, for example
+        cause
+        for cause in causes
+        if cause in catalogue() and catalogue()[cause].is_configuration_error
+    ]
+    others = [cause for cause in causes if cause not in (*fitted, *in_gain)]
     sentences = []
     if fitted:
-        sentences.append(f"The fit includes the causes that a search found: {fitted}.")
+        sentences.append(f"The fit includes the causes that a search found: {_names(fitted)}.")
+    if in_gain:
+        sentences.append(f"The gain includes a cause that the findings name: {_names(in_gain)}.")
     if others:
-        also = "also " if fitted else ""
-        sentences.append(f"The findings {also}name {others}, which the fit does not include.")
+        also = "also " if sentences else ""
+        sentences.append(
+            f"The findings {also}name {_names(others)}, which the fit does not include."
+        )
     return " ".join(sentences) or "A search for further causes found none in the rates."
+
+
+def _names(causes: Sequence[str]) -> str:
+    return ", ".join(cause.replace("_", " ") for cause in causes)
 
 
 def next_step(calibration: CalibrationDocument) -> str:

@@ -6,6 +6,7 @@ from typing import Literal
 from gyrorig_protocol.profile import SensorProfile
 from gyrorig_solver.calibration.calibration_document import Trust
 from gyrorig_solver.data.lost_sample_remedies import lost_samples_remedy
+from gyrorig_solver.data.stream.gain_checks import AXES_REMEDY, check_gain
 from gyrorig_solver.estimate import GyroFit
 from gyrorig_solver.model import DEG_PER_RAD, plural
 
@@ -50,6 +51,22 @@ def judge_fit(fit: GyroFit) -> Trust:
     if fit.observability.rank == 0:
         verdict = "refused"
     return Trust(verdict=verdict, reasons=reasons)
+
+
+def mirror_warnings(fit: GyroFit) -> list[str]:
+    """Return a remark if the gain mirrors the axes of the reference.
+
+    The correction is right nevertheless, so it is no reason of the verdict. A reference without
+    times has signs that a person states, and its estimator gives a reason for wrong ones.
+    """
+    if "time_offset" not in fit.terms:
+        return []
+    return [
+        f"{finding.seen_as}. The correction includes this, and gives rates along the axes of the "
+        f"reference. If these are right, {AXES_REMEDY}, and calibrate again; otherwise, correct "
+        "the signs of the reference"
+        for finding in check_gain(fit.gain)[0].findings
+    ]
 
 
 def profile_warnings(

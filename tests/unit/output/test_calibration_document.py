@@ -132,6 +132,29 @@ def test_values_outside_the_data_sheet_give_warnings(
 
 
 @pytest.mark.parametrize(
+    ("signs", "words"),
+    [
+        ([1.0, 1.0, 1.0], ""),
+        ([-1.0, -1.0, 1.0], ""),  # a board that is mounted in a rotated position
+        ([-1.0, 1.0, 1.0], "axis x has the wrong sign: the gain is mirrored"),
+        ([-1.0, -1.0, -1.0], "the unit's pan_sign and tilt_sign can be wrong instead"),
+    ],
+)
+def test_a_mirrored_gain_is_a_remark(
+    signs: list[float], words: str, good_fit: GyroFit, provenance: Provenance
+) -> None:
+    """Before, the findings alone named it."""
+    fit = replace(good_fit, gain=np.diag(signs) @ good_fit.gain)
+    of_turns = replace(fit, terms=("bias", "scale", "nonorthogonality", "misalignment"))
+    assert not made(of_turns, provenance).quality.warnings  # their estimator states a reason
+    document = made(fit, provenance)
+    assert document.trust.verdict == "good"
+    assert len(document.quality.warnings) == (1 if words else 0)
+    assert words in "".join(document.quality.warnings)
+    assert ("  remark: axis " in calibration_summary(document)) == bool(words)
+
+
+@pytest.mark.parametrize(
     "text",
     [
         "",
@@ -196,12 +219,17 @@ def test_the_stated_limit_is_the_one_that_the_verdict_uses() -> None:
 @pytest.mark.parametrize(
     ("causes", "sentence"),
     [
-        (["sign_flip"], "The findings name sign flip, which the fit does not include."),
+        (["lost_samples"], "The findings name lost samples, which the fit does not include."),
         (
-            ["sign_flip", "sign_flip"],
-            "The findings name sign flip, which the fit does not include.",
+            ["lost_samples", "lost_samples"],
+            "The findings name lost samples, which the fit does not include.",
         ),
-        (["bias", "sign_flip"], "The findings also name sign flip, which the fit does not"),
+        (["bias", "lost_samples"], "The findings also name lost samples, which the fit does not"),
+        (["sign_flip"], "The gain includes a cause that the findings name: sign flip."),
+        (
+            ["sign_flip", "lost_samples"],
+            "name: sign flip. The findings also name lost samples, which the fit does not",
+        ),
         ([], "A search for further causes found none in the rates."),
     ],
 )
