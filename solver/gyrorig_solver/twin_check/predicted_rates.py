@@ -60,6 +60,9 @@ class SimulatedRates:
         # Between lost samples, the mapped time changes like the true time.
         mapping_s = session.samples.time_s - true_s[numbers]
         mapped_s = true_s[inside] + np.interp(inside, numbers, mapping_s)
+        if np.any(np.diff(mapped_s) <= 0.0):
+            # Arrival times: after a stall of the host, many samples arrive at once.
+            mapped_s = true_s[inside] + np.median(mapping_s)
         starts = tuple(
             _mapped_starts(arrays[f"{axis}_s"], moves.start_s, float(np.median(mapping_s)))
             for axis, moves in zip(AXES, session.moves, strict=True)

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -29,7 +30,7 @@ steps:
   - rest: {seconds: 2.0, phase: static}
 """
 ZERO_MOVES = "  - move: {pan_deg: 0.0, tilt_deg: 0.0}\n  - rest: {seconds: 1.0}\n"
-TEXT_BOARD = {
+TEXT_BOARD: dict[str, Any] = {
     "format": "text",
     "columns": {
         "time": 0,
@@ -102,6 +103,20 @@ def test_a_session_of_the_same_rig_is_predicted_within_its_noise(
     at_rest = measured.rate_rad_s[measured.block_time_s < measured.moves[0].start_s[0] - 0.2]
     noise_dps = float(np.degrees(np.std(at_rest, axis=0).mean()))
     assert prediction_error_dps(measured, simulated, arrays) < 1.25 * noise_dps
+
+
+def test_many_samples_that_arrive_at_once_are_a_simulation(
+    sessions: Sessions, tmp_path: Path
+) -> None:
+    """Before, the times of a board without timestamps were no axis of a spline after a stall."""
+    columns = {"gyro": [1, 2, 3], "accel": [4, 5, 6], "columns": 7}
+    facts = {key: fact for key, fact in TEXT_BOARD["facts"].items() if key != "counter_bits"}
+    stalled, other, _ = sessions(MOVES, **(TEXT_BOARD | {"columns": columns, "facts": facts}))
+    assert np.diff(stalled.samples.time_s).min() == 0.0
+    arrays = dict(np.load(tmp_path / "1.npz"))
+    at_rest = other.rate_rad_s[other.block_time_s < other.moves[0].start_s[0] - 0.2]
+    noise_dps = float(np.degrees(np.std(at_rest, axis=0).mean()))
+    assert prediction_error_dps(other, stalled, arrays) < 1.5 * noise_dps
 
 
 def test_many_starts_are_matched_in_bounded_time() -> None:
