@@ -19,7 +19,7 @@ from tests.support.rotation_error import total_rotation
 from gyrorig_solver.data import FloatArray
 from gyrorig_solver.data.samples import GyroSamples
 from gyrorig_solver.estimate import fit_gravity
-from gyrorig_solver.estimate.gravity_fit import MIN_TURN_RAD
+from gyrorig_solver.estimate.gravity_solver import MIN_TURN_RAD
 from gyrorig_solver.reference import TimeInterval, find_poses, turn_vectors
 from gyrorig_solver.reference.gravity_reference import StaticPoses
 

@@ -30,6 +30,11 @@ def chi2_noncentrality(limit: float, degrees: float, power: float) -> float:
     return float(special.chndtrinc(limit, degrees, 1.0 - power))
 
 
+def f_quantile(probability: float, degrees: float, denominator_degrees: float) -> float:
+    """Return the value that a variable with an F distribution exceeds with a probability."""
+    return 1.0 / float(special.fdtri(denominator_degrees, degrees, probability))
+
+
 def f_upper_tail(statistic: float, degrees: float, denominator_degrees: float) -> float:
     """Return the probability that a variable with an F distribution exceeds a statistic."""
     return float(special.fdtrc(degrees, denominator_degrees, statistic))

@@ -55,6 +55,7 @@ class StaticPoses:
     last_sample: tuple[int, ...]  # of its last sample
     direction: FloatArray  # (n, 3), unit vectors, accelerometer frame, up
     accel: AccelerometerCalibration
+    gravity_m_s2: float
 
 
 def find_poses(
@@ -125,6 +126,7 @@ def _calibrate_poses(
         last_sample=tuple(b for _, b in rests),
         direction=force / np.linalg.norm(force, axis=1)[:, None],
         accel=calibration,
+        gravity_m_s2=gravity_m_s2,
     )
 
 
