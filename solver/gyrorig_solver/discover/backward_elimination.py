@@ -55,12 +55,12 @@ def eliminate_backward(
                 continue
             others = space.terms_without(k)
             cost = space.negative_log_likelihood(space) if cost is None else cost
-            reduced = space.refit(others, FIRST_EVALUATIONS).refit_gain()
+            reduced = space.refit(others, FIRST_EVALUATIONS)
             gain = reduced.negative_log_likelihood(space) - cost
             end = reduced.convergence
             remaining = 0.0 if end.converged else end.remaining_nats
             if not end.converged and _p_value(gain - remaining, sizes) * tests > FALSE_ALARM_RATE:
-                reduced = reduced.refit(others).refit_gain()
+                reduced = reduced.refit(others)
                 gain = reduced.negative_log_likelihood(space) - cost
             gain_by_label[term_label(extension.term)] = gain
             p_value = _p_value(gain, sizes) * tests

@@ -35,7 +35,7 @@ from gyrorig_solver.discover.score_tests import FALSE_ALARM_RATE, CandidateScore
 from gyrorig_solver.discover.search_memory import SearchMemory
 from gyrorig_solver.discover.testable_terms import count_tests, select_testable
 from gyrorig_solver.estimate import NuisanceProjector
-from gyrorig_solver.model import Term, term_label
+from gyrorig_solver.model import Term, term_label, value_indices
 
 MAX_CAUSES = 16
 MAX_ROUNDS = 3  # of adding causes; the ranking after a round takes as long as the rest
@@ -227,6 +227,11 @@ class _Search(Generic[Space]):
 
     def _eliminate(self) -> bool:
         """Remove causes that are not needed; return whether the search is complete."""
+        refitted = self._space.refit_gain()
+        if refitted is not self._space:
+            self._memory.visit(refitted)
+            self._continue_with(refitted)
+            return False
         elimination = eliminate_backward(self._space, self._known_terms, self._tests)
         self._gains_by_label = elimination.delta_log_likelihood
         space = self._drop_without_gain(elimination.space)
@@ -264,7 +269,11 @@ class _Search(Generic[Space]):
     def _try_cause(self, selection: _Selection) -> None:
         """Fit a cause in addition to the others, and keep it if it passes its tests."""
         name = selection.label
-        extended = refit_events(extend_fit(self._space, selection.candidate.extension))
+        extension = selection.candidate.extension
+        extended = extend_fit(self._space, extension)
+        # The residual of a fit that has not converged shows the time of no other event.
+        if extended.convergence.converged or value_indices(extension.term, role="event"):
+            extended = refit_events(extended)
         if not extended.convergence.converged:
             self._memory.leave_out(name, extended)
             return

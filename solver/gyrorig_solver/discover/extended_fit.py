@@ -61,7 +61,10 @@ MAX_GAIN_CHANGE = 0.2  # a larger change of the gain means that the board is mou
 
 
 def extend_fit(space: Space, extension: FittedTerm) -> Space:
-    """Refit with one more cause; hold its shapes if the fit does not converge with them free."""
+    """Refit with one more cause; hold its shapes if the fit does not converge with them free.
+
+    A cause that hides rates can lead to another optimum of the gain.
+    """
     others = space.fitted_terms
     extended = space.refit([*others, extension])
     sizes = extension.free_sizes
@@ -69,27 +72,26 @@ def extend_fit(space: Space, extension: FittedTerm) -> Space:
         sizes_only = replace(extension, free_indices=np.array(sizes, dtype=np.int64))
         extended = space.refit([*others, sizes_only])
     if not extended.convergence.converged:
-        extended = _fit_from_scanned_widths(space, [*others, extension]) or extended
-    return extended.refit_gain() if extended.convergence.converged else extended
+        extended = _fit_from_scanned_widths(space, extension) or extended
+    hides_rates = extension.term.stage in CLIPPING_STAGES
+    return extended.refit_gain() if hides_rates and extended.convergence.converged else extended
 
 
-def _fit_from_scanned_widths(space: Space, causes: Sequence[FittedTerm]) -> Space | None:
+def _fit_from_scanned_widths(space: Space, band: FittedTerm) -> Space | None:
     """Return the likeliest fit from several widths of a dead band; None if none converges.
 
     If the width passes the rate of a long move, the likelihood jumps, and no step of a fit crosses
     the jump. A fit that starts on the right side of all jumps is smooth. All axes start with equal
     widths.
     """
-    bands = [k for k, cause in enumerate(causes) if cause.term.stage == "threshold"]
-    if not bands:
+    if band.term.stage != "threshold":
         return None
-    band = causes[bands[0]]
     sizes = list(value_indices(band.term, role="size"))
     fits = []
     for factor in SCANNED_WIDTHS:
         values = band.values.copy()
         values[sizes] = factor * float(np.mean(band.values[sizes]))
-        scanned = [*causes[: bands[0]], replace(band, values=values), *causes[bands[0] + 1 :]]
+        scanned = [*space.fitted_terms, replace(band, values=values)]
         fits.append(space.refit(scanned, SCAN_EVALUATIONS))
     converged = [fit for fit in fits if fit.convergence.converged]
     if not converged:
