@@ -17,7 +17,6 @@ Source: Levenberg-Marquardt with an approximate Jacobian; Dennis and Schnabel, N
 for Unconstrained Optimization, chapter 10.
 """
 
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
