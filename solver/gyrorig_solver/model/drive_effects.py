@@ -9,12 +9,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from gyrorig_solver.data import FloatArray, IntArray
+from gyrorig_solver.data import BoolArray, FloatArray, IntArray
 from gyrorig_solver.model.recursive_filters import filter_from_rest, step_invariant
 from gyrorig_solver.reference import MotionLimits, MotionProfile, plan_motion
 
 _MIN_ANGLE_STEP_RAD = 1e-12  # smaller steps are rounding of an angle at rest
 _MIN_WIDTH_S = 1e-5  # the difference of integrals over less is rounding
+_STRAIGHT_SHARE = 1e-9  # of the fastest rate; a smaller change of the rate is rounding
 
 
 def apply_play(angle_rad: FloatArray, gap_rad: float, start_face: float) -> FloatArray:
@@ -45,12 +46,13 @@ def moving_average(edges_s: FloatArray, angle_rad: FloatArray, width_s: float) -
     """Return the mean of the angle over `width_s` about each edge, by cubic interpolation.
 
     Straight lines between edges h apart would add h^2/12 angle'' to width^2/24 angle''. The angle
-    is constant beyond the ends.
+    is constant beyond the ends. At a constant rate, the mean is the angle, and is not computed.
     """
     if width_s <= _MIN_WIDTH_S:
         return angle_rad
-    width = np.diff(edges_s)
+    width, half = np.diff(edges_s), width_s / 2.0
     rise = np.diff(angle_rad) / width
+    bent = _edges_near_bends(edges_s, rise, half)
     slope = np.zeros_like(angle_rad)
     slope[1:-1] = (rise[:-1] * width[1:] + rise[1:] * width[:-1]) / (width[:-1] + width[1:])
     square = (3.0 * rise - 2.0 * slope[:-1] - slope[1:]) / width
@@ -71,8 +73,21 @@ def moving_average(edges_s: FloatArray, angle_rad: FloatArray, width_s: float) -
             cumulative[k] + integral_within(k, inside - edges_s[k]) + beyond, np.float64
         )
 
-    half = width_s / 2.0
-    return np.asarray((integral(edges_s + half) - integral(edges_s - half)) / width_s, np.float64)
+    mean = angle_rad.copy()
+    mean[bent] = (integral(edges_s[bent] + half) - integral(edges_s[bent] - half)) / width_s
+    return mean
+
+
+def _edges_near_bends(edges_s: FloatArray, rise_rad_s: FloatArray, half_s: float) -> BoolArray:
+    """Return the edges within half a width of a change of the rate or of an end, shape (n + 1,)."""
+    least = _STRAIGHT_SHARE * float(np.abs(rise_rad_s).max())
+    changes = 1 + np.flatnonzero(np.abs(np.diff(rise_rad_s)) > least)
+    bends = np.concatenate([[0], changes, [edges_s.size - 1]])
+    before, after = np.maximum(bends - 1, 0), np.minimum(bends + 1, edges_s.size - 1)
+    counts = np.zeros(edges_s.size + 1)
+    np.add.at(counts, np.searchsorted(edges_s, edges_s[before] - half_s), 1.0)
+    np.add.at(counts, np.searchsorted(edges_s, edges_s[after] + half_s, side="right"), -1.0)
+    return np.asarray(np.cumsum(counts)[:-1] > 0.0, dtype=np.bool_)
 
 
 def second_derivative(edges_s: FloatArray, angle_rad: FloatArray) -> FloatArray:

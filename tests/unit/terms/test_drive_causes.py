@@ -281,6 +281,24 @@ def test_moving_average_keeps_straight_lines() -> None:
     assert rise[4000:16000] == pytest.approx(0.25 / 12.0, rel=1e-4)
 
 
+def test_moving_average_of_a_move_is_that_of_a_fine_grid() -> None:
+    """Only the edges near a change of the rate are averaged; the others keep their angle."""
+    edges = np.cumsum(np.random.default_rng(1).uniform(0.004, 0.006, 2000))
+    fine = np.linspace(0.0, edges[-1], 400_001)
+    step_s, half_s = fine[1], 0.05
+    rate = np.clip((fine - 2.0) / 0.3, 0.0, 1.0) - np.clip((fine - 6.0) / 0.3, 0.0, 1.0)
+    angle = np.concatenate([[0.0], np.cumsum(0.5 * (rate[1:] + rate[:-1]) * step_s)])
+    integral = np.concatenate([[0.0], np.cumsum(0.5 * (angle[1:] + angle[:-1]) * step_s)])
+    inside = edges[(edges > 0.1) & (edges < edges[-1] - 0.1)]
+    expected = np.interp(inside + half_s, fine, integral) - np.interp(
+        inside - half_s, fine, integral
+    )
+    told = np.interp(edges, fine, angle)
+    mean = moving_average(edges, told, 2.0 * half_s)
+    assert mean[np.isin(edges, inside)] == pytest.approx(expected / (2.0 * half_s), abs=2e-7)
+    assert np.mean(mean == told) > 0.8
+
+
 def test_slip(rig: Any) -> None:
     turn, at_s = np.array([0.02, -0.01, 0.015]), 13.0
     slipped = Rotation.from_rotvec(turn)
