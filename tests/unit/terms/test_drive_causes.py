@@ -24,7 +24,7 @@ def close(ours: np.ndarray, theirs: np.ndarray, share: float) -> None:
 
 
 def made(rig: Any, pan: PathEffect | None = None, tilt: PathEffect | None = None) -> np.ndarray:
-    """What is measured more if the angles are made from the told ones."""
+    """What is measured more if the angles are made from the commanded ones."""
     angles = [
         position if how is None else rig.table(how, name)
         for name, position, how in (("pan", rig.pan, pan), ("tilt", rig.tilt, tilt))
@@ -293,10 +293,10 @@ def test_moving_average_of_a_move_is_that_of_a_fine_grid() -> None:
     expected = np.interp(inside + half_s, fine, integral) - np.interp(
         inside - half_s, fine, integral
     )
-    told = np.interp(edges, fine, angle)
-    mean = moving_average(edges, told, 2.0 * half_s)
+    commanded = np.interp(edges, fine, angle)
+    mean = moving_average(edges, commanded, 2.0 * half_s)
     assert mean[np.isin(edges, inside)] == pytest.approx(expected / (2.0 * half_s), abs=2e-7)
-    assert np.mean(mean == told) > 0.8
+    assert np.mean(mean == commanded) > 0.8
 
 
 def test_slip(rig: Any) -> None:
