@@ -87,7 +87,7 @@ def _board_messages(board: BoardHealth) -> Iterator[str]:
         yield f"{name} cannot be used, because {board.fault}"
         return
     if board.lost > MAX_LOST_SHARE * (board.samples + board.lost):
-        yield (f"{name} lost {board.lost} samples. {sentence(lost_samples_remedy(board.link))}")
+        yield f"{name} lost {board.lost} samples. {sentence(lost_samples_remedy(board.link))}"
     if board.saturated > 0:
         yield (
             f"{name} has {board.saturated} saturated samples. "

@@ -226,7 +226,11 @@ class _Search(Generic[Space]):
         self._projection = self._space.projector()
 
     def _eliminate(self) -> bool:
-        """Remove causes that are not needed; return whether the search is complete."""
+        """Remove causes that are not needed; return whether the search is complete.
+
+        The gain is searched again before. A better gain can make other causes significant, so the
+        search is then not complete.
+        """
         refitted = self._space.refit_gain()
         if refitted is not self._space:
             self._memory.visit(refitted)

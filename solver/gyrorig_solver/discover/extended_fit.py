@@ -6,8 +6,8 @@ explain the error of the gain by another cause that rotates or scales the rate, 
 the board before its first move, or a non-orthogonal axis. Therefore this module searches the gain
 again as if all rates were visible, and judges the result by its exact likelihood.
 
-If the fit of a dead band does not converge, it is started from several widths. The reason is that
-the likelihood jumps where the width passes the rate of a long move.
+If the fit of an added dead band does not converge, it is started from several widths. The reason
+is that the likelihood jumps where the width passes the rate of a long move.
 
 What to use when: `extend_fit` for a candidate of the search; `refit_events` afterwards, because
 an event was found before the later causes; `refit_gain_exactly` for a fit to a motion with a
@@ -62,7 +62,8 @@ MAX_GAIN_CHANGE = 0.2  # a larger change of the gain means that the board is mou
 def extend_fit(space: Space, extension: FittedTerm) -> Space:
     """Refit with one more cause; hold its shapes if the fit does not converge with them free.
 
-    A cause that hides rates can lead to another optimum of the gain.
+    If the cause hides rates, its fit can end at a local optimum of the gain. The gain is then
+    searched again.
     """
     others = space.fitted_terms
     extended = space.refit([*others, extension])

@@ -61,7 +61,6 @@ def _measure_rest(
     gravity_m_s2 = float(np.linalg.norm(force.mean(axis=0)))
     rate_std = _std_of_mean(rate)
     noise = float(np.mean(_std_of_mean(force) ** 2))
-    gravity_m_s2 = float(np.linalg.norm(force.mean(axis=0)))
     halves = [half.mean(axis=0) for half in np.array_split(force, 2)]
     # The direction at an end of the rest differs from the mean by this if the board turns slowly.
     # Each half has twice the variance by noise, in two directions.
