@@ -45,6 +45,9 @@ MAX_NOISE_ALTERNATIVES = 3
 # Evaluations of the likelihood in all refits, without the final ranking. A search that needs more
 # tries to explain an effect that no cause explains.
 MAX_SEARCH_EVALUATIONS = 2000
+# Candidates whose fit did not converge. With a large misfit that no cause explains, the derivatives
+# are wrong, and most of the fits fail.
+MAX_FAILED_FITS = 12
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -163,7 +166,10 @@ class _Search(Generic[Space]):
 
     @property
     def _is_at_limit(self) -> bool:
-        return self._space.effort.evaluations >= self._last_evaluation
+        return (
+            self._space.effort.evaluations >= self._last_evaluation
+            or self._memory.failed_fits >= MAX_FAILED_FITS
+        )
 
     @property
     def _left_out(self) -> set[str]:
@@ -370,10 +376,14 @@ class _Search(Generic[Space]):
             for fitted_term in self._space.fitted_terms
             if fitted_term not in self._known_terms
         )
+        limit = (
+            f"{MAX_FAILED_FITS} fits without convergence"
+            if self._memory.failed_fits >= MAX_FAILED_FITS
+            else f"{MAX_SEARCH_EVALUATIONS} evaluations of the likelihood"
+        )
         return (
-            f"the search for causes stopped at its limit of {MAX_SEARCH_EVALUATIONS} evaluations "
-            f"of the likelihood; the causes that it had found are {names or 'none'}, and other "
-            "causes are possible",
+            f"the search for causes stopped at its limit of {limit}; the causes that it had found "
+            f"are {names or 'none'}, and other causes are possible",
         )
 
 

@@ -17,6 +17,7 @@ Source: Levenberg-Marquardt with an approximate Jacobian; Dennis and Schnabel, N
 for Unconstrained Optimization, chapter 10.
 """
 
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -25,7 +26,7 @@ from gyrorig_solver.data import FloatArray
 from gyrorig_solver.discover.candidate_fits import fitted_place
 from gyrorig_solver.discover.checks.typical_noise import whittle_log_likelihood
 from gyrorig_solver.discover.exact_fit import FittedCandidate, fit_candidate
-from gyrorig_solver.discover.fit_space import Space
+from gyrorig_solver.discover.fit_space import SearchEffort, Space
 from gyrorig_solver.discover.score_tests import ScoreTest
 from gyrorig_solver.estimate import (
     GAIN_PARAMETERS,
@@ -56,6 +57,7 @@ SCANNED_WIDTHS = np.geomspace(0.7, 1.7, 8)  # of a dead band, relative to the me
 SCAN_EVALUATIONS = 15  # of each scanned fit
 MIN_EVENT_SHIFT_SIGMA = 0.1  # standard uncertainties; a smaller shift needs no refit of all causes
 OBSERVABLE_SIGMA = 2.0  # standard deviations of an entry of the gain that the data determine
+SAME_CHANGE_SIGMA = 0.5  # standard deviations of each entry of two changes that count as one
 MAX_GAIN_CHANGE = 0.2  # a larger change of the gain means that the board is mounted another way
 
 
@@ -179,45 +181,69 @@ class GainChange(LinearTerm):
         return f"the gain is off by up to {np.abs(values).max():.2g}"
 
 
-def refit_gain_exactly(solution: ConvergedFit) -> ConvergedFit:
-    """Refit the gain by its exact effect; without clipping causes, return the fit unchanged."""
+def refit_gain_exactly(solution: ConvergedFit, effort: SearchEffort) -> ConvergedFit:
+    """Refit the gain by its exact effect; without clipping causes, return the fit unchanged.
+
+    Args:
+        solution: the fit.
+        effort: of its search; it counts the refits.
+    """
     clipping = (cause for cause in solution.fitted_terms if cause.term.stage in CLIPPING_STAGES)
     if not any(cause.is_active for cause in clipping):
         return solution
     for _ in range(MAX_RESTARTS):
-        projector = NuisanceProjector.at_fit(solution)
-        if not _is_gain_score_significant(projector):
-            break
-        nats, better = whittle_log_likelihood(solution) + MIN_GAIN_NATS, None
-        for start in START_VALUES:
-            candidate = fit_candidate(
-                projector, GainChange(), None, [np.full(GAIN_PARAMETERS, start)]
-            )
-            if candidate is None or candidate.delta_log_likelihood < MIN_GAIN_NATS:
-                continue
-            for change in _candidate_changes(candidate):
-                estimate = solution.estimate.copy()
-                estimate[:GAIN_PARAMETERS] += change
-                restarted = refit_with_terms(
-                    replace(solution, estimate=estimate), solution.fitted_terms
-                )
-                if restarted.converged and whittle_log_likelihood(restarted) > nats:
-                    nats, better = whittle_log_likelihood(restarted), restarted
+        better = _fit_better_gain(solution, effort)
         if better is None:
             break
         solution = better
     return solution
 
 
+def _fit_better_gain(solution: ConvergedFit, effort: SearchEffort) -> ConvergedFit | None:
+    """Return a likelier fit that starts from another gain; None if there is none."""
+    projector = NuisanceProjector.at_fit(solution)
+    if not _is_gain_score_significant(projector):
+        return None
+    needed_nats = whittle_log_likelihood(solution) + MIN_GAIN_NATS
+    for change in _gain_changes(projector):
+        estimate = solution.estimate.copy()
+        estimate[:GAIN_PARAMETERS] += change
+        restarted = refit_with_terms(replace(solution, estimate=estimate), solution.fitted_terms)
+        effort.count(restarted.convergence)
+        if restarted.converged and whittle_log_likelihood(restarted) > needed_nats:
+            return restarted
+    return None
+
+
+def _gain_changes(projector: NuisanceProjector) -> Iterator[FloatArray]:
+    """Yield the changes of the gain to start from, (9,) each.
+
+    If the fits from all start values end at the same change, it comes once.
+    """
+    fitted: list[FittedCandidate] = []
+    for start in START_VALUES:
+        candidate = fit_candidate(projector, GainChange(), None, [np.full(GAIN_PARAMETERS, start)])
+        if candidate is None or candidate.delta_log_likelihood < MIN_GAIN_NATS:
+            continue
+        if not any(_is_same_change(candidate, other) for other in fitted):
+            fitted.append(candidate)
+            yield from _candidate_changes(candidate)
+
+
+def _is_same_change(candidate: FittedCandidate, other: FittedCandidate) -> bool:
+    distance = np.abs(candidate.extension.values - other.extension.values)
+    return bool((distance < SAME_CHANGE_SIGMA * other.std).all())
+
+
 def _candidate_changes(candidate: FittedCandidate) -> list[FloatArray]:
-    """Return the whole change of the gain, and the change of its observable entries only.
+    """Return the change of the observable entries of the gain only, and the whole change.
 
     If hardly any motion determines an entry, it can have any value within its standard deviation.
     A fit that starts at this value would converge to another optimum.
     """
     whole = candidate.extension.values
     observable = np.where(np.abs(whole) > OBSERVABLE_SIGMA * candidate.std, whole, 0.0)
-    return [whole, observable] if 0 < np.count_nonzero(observable) < GAIN_PARAMETERS else [whole]
+    return [observable, whole] if 0 < np.count_nonzero(observable) < GAIN_PARAMETERS else [whole]
 
 
 def _is_gain_score_significant(projector: NuisanceProjector) -> bool:

@@ -45,13 +45,17 @@ class SearchEffort:
     evaluations: int = 0  # of the likelihood
     _latest: "weakref.ref[FitSpace] | None" = None
 
+    def count(self, convergence: Convergence) -> None:
+        """Count a refit as at least one evaluation."""
+        self.evaluations += max(1, convergence.evaluations)
+
     def add(self, space: "FitSpace") -> None:
-        """Count a refit as at least one evaluation, and free the caches of the previous one.
+        """Count a refit, and free the caches of the previous one.
 
         A search keeps many fits, and the caches of a fit take about 3 kB per sample. The next
         projector is usually that of the latest fit.
         """
-        self.evaluations += max(1, space.convergence.evaluations)
+        self.count(space.convergence)
         previous = None if self._latest is None else self._latest()
         if previous is not None:
             previous.release_caches()

@@ -121,7 +121,7 @@ class MotionFitSpace(FitSpace):
 
     def refit_gain(self) -> Self:
         """Return the fit with its gain searched again if a threshold or limit hides rates."""
-        refitted = refit_gain_exactly(self.solution)
+        refitted = refit_gain_exactly(self.solution, self.effort)
         return self if refitted is self.solution else type(self)(refitted, self.effort)
 
     def negative_log_likelihood(self, noise_of: Self) -> float:

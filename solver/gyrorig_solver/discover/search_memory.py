@@ -24,6 +24,7 @@ class SearchMemory(Generic[Space]):
         self._waiting: dict[str, int] = {}  # models until the fit is repeated, by label
         self._failures: Counter[str] = Counter()
         self._reasons: dict[str, str] = {}
+        self.failed_fits = 0  # that did not converge
 
     @property
     def left_out(self) -> set[str]:
@@ -41,6 +42,7 @@ class SearchMemory(Generic[Space]):
     def leave_out(self, label: str, space: FitSpace) -> None:
         """Leave a candidate out of the present model, because the fit `space` did not converge."""
         self.postpone(label)
+        self.failed_fits += 1
         self._reasons[label] = space.convergence.reason
 
     def postpone(self, label: str) -> None:

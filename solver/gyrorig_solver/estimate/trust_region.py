@@ -26,6 +26,10 @@ NEGLIGIBLE_NATS = 1e-3  # of predicted decrease
 INSIGNIFICANT_NATS = 3.0  # of predicted decrease: a step of two standard deviations or less
 MAX_INCREASE_NATS = 20.0  # of the objective by all steps with insignificant predicted decreases
 LATE_EVALUATIONS = 20  # later, such a step increases the objective by at most INSIGNIFICANT_NATS
+# A fit ends without convergence after this many evaluations without progress, of which so many
+# steps were rejected. The derivatives are then wrong, because the misfit is large.
+STALLED_EVALUATIONS, STALLED_REJECTIONS = 12, 4
+PROGRESS_NATS = 1.0  # decrease of the lowest objective that counts as progress
 MIN_GAIN_RATIO = 0.05  # a step with a lower ratio is rejected
 REFRESH_GAIN_RATIO = 0.25  # a step with a lower ratio renews the derivatives
 GOOD_GAIN_RATIO = 0.75  # a step with a higher ratio reduces the damping
@@ -143,7 +147,7 @@ def minimise(
     shrinkage_limit = STEP_SHRINKAGE if trust_shrinkage else 0.0
     damping, previous_sigma, was_accepted = 0.0, np.inf, True
     previous: ProposedStep | None = None
-    lost = 0.0  # increase of the objective since its lowest value, nats
+    progress = _Progress()
     undamped: list[FloatArray] = []  # the full steps that were accepted in sequence
     full = problem.propose(0.0)
     for evaluation in range(max_evaluations):
@@ -159,11 +163,12 @@ def minimise(
             proposal = _extrapolate(full, previous)
         previous = full if is_plain and proposal is full else None
         decrease = problem.evaluate(proposal)
-        allowed = _allowed_increase(always_renew, evaluation, lost)
+        allowed = _allowed_increase(always_renew, evaluation, progress.lost_nats)
         ratio = _gain_ratio(decrease, proposal.predicted_decrease, allowed)
         was_accepted = ratio >= MIN_GAIN_RATIO
+        if progress.has_stalled(decrease, was_accepted):
+            return _not_converged(problem, full, evaluation + 1)
         if was_accepted:
-            lost = max(0.0, lost - decrease)
             problem.accept(new_derivatives=always_renew or ratio < REFRESH_GAIN_RATIO)
             previous_sigma = full.size_sigma if proposal is full else np.inf
             before, full = full.predicted_decrease, problem.propose(0.0)
@@ -180,6 +185,32 @@ def minimise(
                 if damping > MAX_DAMPING:
                     return _not_converged(problem, full, evaluation + 1)
     return _not_converged(problem, full, max_evaluations)
+
+
+class _Progress:
+    """The objective of a fit so far, relative to its start."""
+
+    def __init__(self) -> None:
+        """Begin at 0 nats."""
+        self._level_nats = self._lowest_nats = self._reference_nats = 0.0
+        self._evaluations = self._rejections = 0  # since the objective was at the reference
+
+    @property
+    def lost_nats(self) -> float:
+        """The increase of the objective since its lowest value."""
+        return self._level_nats - self._lowest_nats
+
+    def has_stalled(self, decrease: float, was_accepted: bool) -> bool:
+        """Count an evaluation; return whether the last ones rejected steps without progress."""
+        self._evaluations += 1
+        self._rejections += not was_accepted
+        if was_accepted:
+            self._level_nats -= decrease
+            self._lowest_nats = min(self._lowest_nats, self._level_nats)
+        if self._lowest_nats < self._reference_nats - PROGRESS_NATS:
+            self._reference_nats = self._lowest_nats
+            self._evaluations = self._rejections = 0
+        return self._evaluations >= STALLED_EVALUATIONS and self._rejections >= STALLED_REJECTIONS
 
 
 def _is_negligible(

@@ -13,6 +13,7 @@ from gyrorig_solver.discover.candidate_fits import fit_best_place
 from gyrorig_solver.discover.checks.typical_noise import whittle_log_likelihood
 from gyrorig_solver.discover.exact_fit import fit_candidate
 from gyrorig_solver.discover.extended_fit import GainChange, refit_gain_exactly
+from gyrorig_solver.discover.fit_space import SearchEffort
 from gyrorig_solver.discover.motion_space import MotionFitSpace
 from gyrorig_solver.discover.score_tests import scan_catalogue
 from gyrorig_solver.discover.template_choice import all_templates
@@ -87,11 +88,13 @@ def test_a_gain_that_changes_is_the_gain(base: Fit) -> None:
 @pytest.mark.long
 def test_the_gain_is_looked_for_where_rates_are_cut_off(base: Fit) -> None:
     plain = base("dead_zone:0.009")
-    assert refit_gain_exactly(plain) is plain
+    effort = SearchEffort()
+    assert refit_gain_exactly(plain, effort) is plain
+    assert effort.evaluations == 0
     term = find_term("dead_zone")
     sizes = np.array(value_indices(term, role="size"))
     lame = refit_with_terms(plain, [FittedTerm(term, np.full(3, 0.009), sizes)])
-    refitted = refit_gain_exactly(lame)
+    refitted = refit_gain_exactly(lame, effort)
     assert refitted is lame or whittle_log_likelihood(refitted) > whittle_log_likelihood(lame)
     threshold = refitted.fitted_terms[0].values
     assert threshold == pytest.approx(np.full(3, 0.009), rel=0.05)

@@ -26,6 +26,15 @@ HIDDEN = "backlash@tilt:0.0015"
 WITHOUT = Convergence(False, 40, 9.0, "backlash.gap.tilt", 2.0)
 
 
+def _refit_without_backlash(
+    previous: ConvergedFit, fitted_terms: Sequence[FittedTerm], *limits: int
+) -> ConvergedFit:
+    """Refit; a fit of backlash does not converge."""
+    refitted = refit_with_terms(previous, fitted_terms, *limits)
+    has_backlash = any(fitted_term.term.cause == "backlash" for fitted_term in fitted_terms)
+    return replace(refitted, convergence=WITHOUT) if has_backlash else refitted
+
+
 @pytest.fixture(scope="module")
 def base(hidden: Callable[..., Any]) -> ConvergedFit:
     session = hidden(HIDDEN)
@@ -47,14 +56,7 @@ def test_the_cause_is_named_where_its_fit_converges(named: ConvergedFit) -> None
 def test_a_candidate_whose_fit_does_not_converge_is_left_out(
     base: ConvergedFit, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def refit(
-        previous: ConvergedFit, fitted_terms: Sequence[FittedTerm], *limits: int
-    ) -> ConvergedFit:
-        refitted = refit_with_terms(previous, fitted_terms, *limits)
-        has_backlash = any(fitted_term.term.cause == "backlash" for fitted_term in fitted_terms)
-        return replace(refitted, convergence=WITHOUT) if has_backlash else refitted
-
-    monkeypatch.setattr(motion_space, "refit_with_terms", refit)
+    monkeypatch.setattr(motion_space, "refit_with_terms", _refit_without_backlash)
     explanation = explain_fit(base, "GY80-1")
     assert "backlash" not in [cause.term.cause for cause in explanation.findings.causes]
     assert explanation.solution_extended.converged
@@ -80,6 +82,20 @@ def test_a_search_stops_at_its_limit_and_says_so(
     monkeypatch.setattr(cause_search, "MAX_SEARCH_EVALUATIONS", 0)
     (remark,) = search_causes(MotionFitSpace(base)).remarks
     assert "had found are none" in remark
+
+
+@pytest.mark.long
+def test_a_search_stops_when_too_many_fits_fail(
+    base: ConvergedFit, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(motion_space, "refit_with_terms", _refit_without_backlash)
+    whole = MotionFitSpace(base)
+    assert not any("limit" in text for text in search_causes(whole).remarks)
+    monkeypatch.setattr(cause_search, "MAX_FAILED_FITS", 1)
+    limited = MotionFitSpace(base)
+    (remark,) = (text for text in search_causes(limited).remarks if "limit" in text)
+    assert "stopped at its limit of 1 fits without convergence" in remark
+    assert limited.effort.evaluations < whole.effort.evaluations
 
 
 @pytest.mark.long

@@ -13,6 +13,7 @@ from gyrorig_solver.estimate.trust_region import (
     LATE_EVALUATIONS,
     MAX_INCREASE_NATS,
     NEGLIGIBLE_NATS,
+    STALLED_EVALUATIONS,
     NotConvergedError,
     ProposedStep,
     minimise,
@@ -194,6 +195,32 @@ def test_steps_that_lead_back_end_the_fit() -> None:
     # Small steps may end in many ways: they are not judged.
     slow = Circle(decrease=1.0)
     assert minimise(slow, MANY).evaluations > 6
+
+
+@dataclass
+class Misled(Circle):
+    """The derivative promises a decrease in a direction in which the objective increases."""
+
+    progress_nats: float = 0.0  # of a step with much damping
+
+    def propose(self, damping: float) -> ProposedStep:
+        shrinkage = 1.0 / (1.0 + damping)
+        step = np.array([4.0 * shrinkage, 0.0])
+        return ProposedStep(step, (), 8.0 * shrinkage, step)
+
+    def evaluate(self, proposal: ProposedStep) -> float:
+        self.evaluations += 1
+        is_damped = proposal.predicted_decrease < 4.0
+        return self.progress_nats if is_damped else -proposal.predicted_decrease
+
+
+def test_a_fit_that_only_rejects_steps_ends() -> None:
+    solution = minimise(Misled(), MANY)
+    assert not solution.converged
+    assert solution.evaluations == STALLED_EVALUATIONS
+    assert solution.moving == "east"
+    # Damped steps that decrease the objective are progress.
+    assert minimise(Misled(progress_nats=1.5), MANY).evaluations == MANY
 
 
 @dataclass
