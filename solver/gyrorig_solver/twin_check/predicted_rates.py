@@ -123,7 +123,8 @@ class SimulatedRates:
             if not difference.size:
                 shifts.append(np.full(session.time_s.size, typical))
                 continue
-            row = np.searchsorted(moves.start_s - LEAD_S, session.time_s, side="right") - 1
+            begin_s = _shift_begins(moves.start_s, difference)
+            row = np.searchsorted(begin_s, session.time_s, side="right") - 1
             shifts.append(difference[np.maximum(row, 0)])
         return shifts[0], shifts[1]
 
@@ -216,6 +217,20 @@ def _match_starts(starts_s: FloatArray, others_s: FloatArray) -> FloatArray:
         for k, offset in zip(nearest, offsets, strict=True)
     ]
     return np.asarray(others_s[nearest[int(np.argmin(misfits))]] - starts_s, dtype=np.float64)
+
+
+def _shift_begins(starts_s: FloatArray, shifts_s: FloatArray) -> FloatArray:
+    """Return the time from which each move has its shift, shape of `starts_s`.
+
+    With the shift of the move before, the simulation can start this move earlier than the recording
+    does. Therefore the shift changes before both starts.
+
+    Args:
+        starts_s: of the moves of one axis in the recording, increasing.
+        shifts_s: start in the simulation minus start in the recording.
+    """
+    earlier_s = np.minimum(np.diff(shifts_s, prepend=shifts_s[0]), 0.0)
+    return np.asarray(np.maximum.accumulate(starts_s + earlier_s - LEAD_S), dtype=np.float64)
 
 
 def _nearest(times_s: FloatArray, others_s: FloatArray) -> IntArray:
