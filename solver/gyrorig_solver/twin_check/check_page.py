@@ -33,7 +33,9 @@ from gyrorig_solver.twin_check.recording_check import BoardCheck
 from gyrorig_solver.twin_check.twin_folder_check import TwinCheck
 
 EDGES = ("start_pan", "start_tilt", "end_pan", "end_tilt")
-NOT_DRAWN = ("bias", "clock", *TIMING, "stalls", "speed", "start_delay", "rest_position")
+NOT_DRAWN = (
+    "bias", "clock", *TIMING, "stalls", "lost_samples", "speed", "start_delay", "rest_position",
+)  # fmt: skip
 
 
 def render_check(check: TwinCheck) -> str:

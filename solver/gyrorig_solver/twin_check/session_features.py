@@ -32,6 +32,7 @@ STALL_FACTOR = 15.0  # times the usual excess; a later sample waited for a stall
 SAME_STALL_S = 0.02  # after a stall, all waiting frames arrive within this time
 CLOCK_S = (1.0, 3.0, 10.0)  # time steps of the clock's innovation
 SENSOR_AXES = "xyz"
+FEW_LOST = 10  # a session that loses no more samples can follow one that loses none
 ROBUST_STD = 1.4826  # standard deviation of a normal sample by its median absolute deviation
 
 
@@ -73,6 +74,7 @@ def session_features(
         *_noise_families(session, density.completed(residual_rad_s)),
         *_motion_families(session),
         *_latency_families(session),
+        _lost_family(session),
         *_clock_families(session),
     ]
     return [family for family in families if family.values.size]
@@ -306,7 +308,8 @@ def _latency_families(session: ObservedSession) -> list[Family]:
     is_late = excess > STALL_FACTOR * float(np.median(excess)) / np.log(2.0)
     raw = session.recording.ptu_positions()
     answer = (times_ns(raw["first_byte_time"]) - times_ns(raw["request_time"])) * 1e-9
-    spacing = np.diff(samples.host_s)
+    # Lost samples lengthen some intervals, and are a statistic of their own.
+    spacing = np.diff(samples.host_s)[np.diff(samples.number) == 1]
     families = []
     for key, title, values in (
         ("latency", "latency of the board's frames above the smallest", excess[~is_late]),
@@ -328,6 +331,26 @@ def _latency_families(session: ObservedSession) -> list[Family]:
                ("", ""), stalls, 1.0, is_of_rare_events=True)
     )  # fmt: skip
     return families
+
+
+def _lost_family(session: ObservedSession) -> Family:
+    """Return the share of the samples since the start that are missing by the board's counter.
+
+    All values contain the losses at the start, so that a wrong share is more visible than in
+    separate parts of the session.
+    """
+    samples = session.samples
+    time_s = samples.time_s
+    steps = np.diff(samples.number.astype(np.int64))
+    lost = np.where(np.diff(samples.segment) == 0, steps - 1, 0)
+    if lost.sum() <= FEW_LOST:
+        lost[:] = 0
+    until_s = np.linspace(time_s[0], time_s[-1], TIME_BINS + 1)[1:]
+    received = np.searchsorted(time_s, until_s, side="right")
+    missing = np.append(0, np.cumsum(lost))[received - 1]
+    return Family("lost_samples", "lost samples since the start", "%", "time since the start, s",
+                  until_s - time_s[0], ("",) * TIME_BINS, 100.0 * missing / (missing + received),
+                  0.01)  # fmt: skip
 
 
 def _clock_families(session: ObservedSession) -> list[Family]:

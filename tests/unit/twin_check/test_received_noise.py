@@ -13,6 +13,7 @@ from gyrorig_protocol.recording.reader import read_recording
 from gyrorig_solver.commands.project_files import project_file
 from gyrorig_solver.data import BoolArray, FloatArray
 from gyrorig_solver.estimate import NoiseModel, Sampling, nominal_levels
+from gyrorig_solver.twin_check.check_wording import difference_text, differences
 from gyrorig_solver.twin_check.received_noise import (
     ReceivedDensity,
     ReceivedNoise,
@@ -105,4 +106,6 @@ def test_a_right_simulation_predicts_a_recording_with_lost_samples(tmp_path: Pat
     distance = stage.nats_per_s - stage.ceiling_nats_per_s
     assert abs(distance) < 5.0 * stage.ceiling_std_nats_per_s
     p_values = {family.family.key: family.p_value for family in stage.comparisons}
-    assert min(p_values["spectrum"], p_values["allan"]) > 0.01
+    assert min(p_values["spectrum"], p_values["allan"], p_values["jitter"]) > 0.01
+    (text,) = [difference_text(difference) for difference in differences(stage)]
+    assert text.startswith("lost samples since the start: "), "before, the arrivals differed"
