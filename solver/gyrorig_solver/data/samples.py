@@ -30,6 +30,7 @@ from gyrorig_solver.data.clocks.latency_bounds import (
 )
 from gyrorig_solver.data.clocks.sample_numbering import number_samples
 from gyrorig_solver.data.clocks.shared_time_base import ClockExchanges
+from gyrorig_solver.data.clocks.stalled_arrivals import times_without_stalls
 from gyrorig_solver.data.clocks.tick_unwrapping import PIECE_SAMPLES
 from gyrorig_solver.data.count_columns import CountArray, CountColumn, PhysicalField, stored_column
 from gyrorig_solver.data.metadata_numbers import positive_number
@@ -266,8 +267,10 @@ def _map_board_clock(
 ) -> ClockMap:
     """Map device time; a source with one time column uses it for both clocks, in ns."""
     tick_hz = positive_number(metadata, "tick_hz")
-    if tick_hz is None or (metadata.get("link") == "file" and not np.any(np.diff(ticks))):
-        ticks, tick_hz = np.rint(host_s * 1e9).astype(np.int64), 1e9
+    is_imported = metadata.get("link") == "file"
+    if tick_hz is None or (is_imported and not np.any(np.diff(ticks))):
+        times_s = host_s if is_imported else times_without_stalls(sequence, host_s)
+        ticks, tick_hz = np.rint(times_s * 1e9).astype(np.int64), 1e9
     bits = int(positive_number(metadata, "counter_bits") or 64)
     return map_clock(
         ticks, host_s, tick_hz, bits, sequence, sequence_bits=sequence_bits, overwrite=True

@@ -4,7 +4,8 @@ A board that reads the FIFO of its sensor often gives all samples of one reading
 of the reading. The delay from the sample to the reading changes, so these times are no sampling
 times. The counter of the samples follows the clock of the sensor. The arrival times show its rate.
 
-What to use when: `has_shared_times` decides; `map_sample_counter` replaces `map_clock`.
+What to use when: `has_shared_times` decides; `map_sample_counter` replaces `map_clock`;
+`sample_rate_hz` for the rate alone.
 """
 
 import numpy as np
@@ -42,12 +43,12 @@ def map_sample_counter(
             otherwise 32.
     """
     modulus = counter_modulus(sequence, sequence_bits)
-    rate_hz = _sample_rate_hz(sequence, host_s, modulus)
+    rate_hz = sample_rate_hz(sequence, host_s, modulus)
     bits = modulus.bit_length() - 1
     return map_clock(sequence.astype(np.int64), host_s, rate_hz, bits, sequence, sequence_bits=bits)
 
 
-def _sample_rate_hz(sequence: CounterArray, host_s: FloatArray, modulus: int) -> float:
+def sample_rate_hz(sequence: CounterArray, host_s: FloatArray, modulus: int) -> float:
     """Return a rough sample rate, which lost samples and gaps do not change."""
     stride = min(RATE_SAMPLES, sequence.size - 1)
     rows = slice(0, INSPECTED_SAMPLES + stride)
