@@ -34,7 +34,7 @@ from gyrorig_solver.twin_check.twin_folder_check import TwinCheck
 
 EDGES = ("start_pan", "start_tilt", "end_pan", "end_tilt")
 NOT_DRAWN = (
-    "bias", "clock", *TIMING, "stalls", "lost_samples", "speed", "start_delay", "rest_position",
+    "bias", "clock", *TIMING, "stalls", "lost", "speed", "start_delay", "rest_position",
 )  # fmt: skip
 
 

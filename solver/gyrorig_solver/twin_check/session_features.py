@@ -348,7 +348,7 @@ def _lost_family(session: ObservedSession) -> Family:
     until_s = np.linspace(time_s[0], time_s[-1], TIME_BINS + 1)[1:]
     received = np.searchsorted(time_s, until_s, side="right")
     missing = np.append(0, np.cumsum(lost))[received - 1]
-    return Family("lost_samples", "lost samples since the start", "%", "time since the start, s",
+    return Family("lost", "lost samples since the start", "%", "time since the start, s",
                   until_s - time_s[0], ("",) * TIME_BINS, 100.0 * missing / (missing + received),
                   0.01)  # fmt: skip
 
