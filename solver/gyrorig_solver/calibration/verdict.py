@@ -5,8 +5,8 @@ from typing import Literal
 
 from gyrorig_protocol.profile import SensorProfile
 from gyrorig_solver.calibration.calibration_document import Trust
-from gyrorig_solver.data.lost_sample_remedies import lost_samples_remedy
-from gyrorig_solver.data.stream.gain_checks import AXES_REMEDY, check_gain
+from gyrorig_solver.data.link_remedies import LOST_SAMPLES, OUTLIERS, WRONG_AXES
+from gyrorig_solver.data.stream.gain_checks import check_gain
 from gyrorig_solver.estimate import GyroFit
 from gyrorig_solver.model import DEG_PER_RAD, plural
 
@@ -32,12 +32,12 @@ def judge_fit(fit: GyroFit) -> Trust:
         )
     total = fit.samples + fit.lost
     if fit.lost > _LOST_SHARE * max(total, 1):
-        remedy = lost_samples_remedy(fit.link)
-        reasons.append(f"{fit.lost} of {total} samples were lost. {remedy[:1].upper()}{remedy[1:]}")
+        remedy = LOST_SAMPLES.for_link(fit.link)
+        reasons.append(f"{fit.lost} of {total} samples were lost. {_capitalised(remedy)}")
     if fit.outliers > _OUTLIER_SHARE * max(fit.samples, 1):
         reasons.append(
-            f"{plural(fit.outliers, 'sample was', 'samples were')} rejected as outliers. Check the "
-            "sensor's bus, its supply and the reference"
+            f"{plural(fit.outliers, 'sample was', 'samples were')} rejected as outliers. "
+            f"{_capitalised(OUTLIERS.for_link(fit.link))}"
         )
     if reasons:
         verdict = "limited"
@@ -63,9 +63,9 @@ def mirror_warnings(fit: GyroFit) -> list[str]:
         return []
     return [
         f"{finding.seen_as}. The correction includes this, and gives rates along the axes of the "
-        f"reference. If these are right, {AXES_REMEDY}, and calibrate again; otherwise, correct "
-        "the signs of the reference"
-        for finding in check_gain(fit.gain)[0].findings
+        f"reference. If these are right, {WRONG_AXES.for_link(fit.link)}, and calibrate again; "
+        "otherwise, correct the signs of the reference"
+        for finding in check_gain(fit.gain, link=fit.link)[0].findings
     ]
 
 
@@ -90,6 +90,10 @@ def profile_warnings(
             if math.isfinite(bias_dps) and abs(bias_dps) > zero_rate_dps:
                 warnings.append(
                     f"bias.{axis} is {bias_dps:.1f} deg/s, outside the {profile.sensor}'s "
-                    f"data-sheet range ±{zero_rate_dps:g} deg/s. Check that the rig was at rest"
+                    f"data-sheet range ±{zero_rate_dps:g} deg/s. Check that the board was at rest"
                 )
     return warnings
+
+
+def _capitalised(text: str) -> str:
+    return text[:1].upper() + text[1:]

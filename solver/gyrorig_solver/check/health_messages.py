@@ -10,12 +10,12 @@ from gyrorig_protocol.errors import sentence
 from gyrorig_protocol.recording.mcap.losses import LossCause
 from gyrorig_solver.calibration.calibration_wording import collapse_groups
 from gyrorig_solver.check.recording_health import BoardHealth, RecordingHealth
-from gyrorig_solver.data.lost_sample_remedies import lost_samples_remedy
+from gyrorig_solver.data.link_remedies import CLOCK_STEP, LOST_SAMPLES, REPEATS, RESTART
 
 MAX_LOST_SHARE = 0.02  # above this share a calibration is limited
 
 _COPY_REMEDY = (
-    "Copy the file again from the rig if it is complete there, or use the data that can be read."
+    "Copy the file again from its source if it is complete there, or use the data that can be read."
 )
 _LOSS_REMEDIES = {
     LossCause.UNFINISHED: (
@@ -87,26 +87,20 @@ def _board_messages(board: BoardHealth) -> Iterator[str]:
         yield f"{name} cannot be used, because {board.fault}"
         return
     if board.lost > MAX_LOST_SHARE * (board.samples + board.lost):
-        yield f"{name} lost {board.lost} samples. {sentence(lost_samples_remedy(board.link))}"
+        yield f"{name} lost {board.lost} samples. {sentence(LOST_SAMPLES.for_link(board.link))}"
     if board.saturated > 0:
         yield (
             f"{name} has {board.saturated} saturated samples. "
             "Use a larger full scale, or turn more slowly."
         )
     if board.repeated > MAX_LOST_SHARE * board.samples:
-        yield (
-            f"{name} repeats {board.repeated} samples, because the board reads its sensor "
-            "faster than the sensor measures. Read the sensor on its data-ready signal, or "
-            "raise its output rate."
-        )
+        yield f"{name} repeats {board.repeated} samples. {sentence(REPEATS.for_link(board.link))}"
     if board.restarts:
-        yield (
-            f"{name} restarted {board.restarts} times. Check the supply and the cable of the board."
-        )
+        yield f"{name} restarted {board.restarts} times. {sentence(RESTART.for_link(board.link))}"
     if board.clock_steps:
         yield (
             f"the clock of {name} or of the host jumped {board.clock_steps} times. "
-            "Do not suspend the host, and check the board's firmware."
+            f"{sentence(CLOCK_STEP.for_link(board.link))}"
         )
 
 

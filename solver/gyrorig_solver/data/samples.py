@@ -33,6 +33,7 @@ from gyrorig_solver.data.clocks.shared_time_base import ClockExchanges
 from gyrorig_solver.data.clocks.stalled_arrivals import times_without_stalls
 from gyrorig_solver.data.clocks.tick_unwrapping import PIECE_SAMPLES
 from gyrorig_solver.data.count_columns import CountArray, CountColumn, PhysicalField, stored_column
+from gyrorig_solver.data.link_remedies import FILE_LINK, NO_SAMPLE_RATE, NO_SAMPLES
 from gyrorig_solver.data.metadata_numbers import positive_number
 from gyrorig_solver.data.pauses import count_pauses
 
@@ -81,7 +82,7 @@ class GyroSamples:
     @property
     def is_imported(self) -> bool:
         """Whether another program recorded the samples, so that no host checked their times."""
-        return self.link == "file"
+        return self.link == FILE_LINK
 
     @property
     def gyro(self) -> CountColumn:
@@ -172,12 +173,12 @@ def load_samples(recording: Recording, board: str) -> GyroSamples:
         raise InputError(
             f"board {board} has only {raw.sequence.size} samples in the recording, but the "
             "solver needs at least 16",
-            "record for longer, or check with `gyrorigd doctor` that the board sends samples",
+            NO_SAMPLES.for_link(metadata.get("link", "")),
         )
     origin_ns = int(raw.host_time_ns[0])
     host_s = _seconds_in_place(raw.host_time_ns, origin_ns)
     # the sample counter of an imported recording has no wraps
-    sequence_bits = 32 if metadata.get("link") == "file" else None
+    sequence_bits = 32 if metadata.get("link") == FILE_LINK else None
     counts_samples = has_shared_times(raw.device_time, raw.sequence)
     pings = None if counts_samples else _read_pings(recording, board, origin_ns)
     nearest_samples = NearestSamples.of(pings, raw.device_time, host_s) if pings else None
@@ -244,7 +245,7 @@ def load_samples(recording: Recording, board: str) -> GyroSamples:
         raise InputError(
             f"the timestamps of board {board} in the recording {recording.path.name} do not give "
             "a sample rate",
-            "check the clock and `tick_hz` of the board, and record again",
+            NO_SAMPLE_RATE.for_link(samples.link),
         )
     return samples
 
@@ -267,7 +268,7 @@ def _map_board_clock(
 ) -> ClockMap:
     """Map device time; a source with one time column uses it for both clocks, in ns."""
     tick_hz = positive_number(metadata, "tick_hz")
-    is_imported = metadata.get("link") == "file"
+    is_imported = metadata.get("link") == FILE_LINK
     if tick_hz is None or (is_imported and not np.any(np.diff(ticks))):
         times_s = host_s if is_imported else times_without_stalls(sequence, host_s)
         ticks, tick_hz = np.rint(times_s * 1e9).astype(np.int64), 1e9

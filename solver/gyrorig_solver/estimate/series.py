@@ -15,6 +15,7 @@ from scipy.fft import next_fast_len
 from gyrorig_protocol.errors import InputError
 from gyrorig_solver.data import BoolArray, FloatArray, IntArray
 from gyrorig_solver.data.count_columns import CountArray
+from gyrorig_solver.data.link_remedies import WRONG_COUNTER
 from gyrorig_solver.data.samples import GyroSamples
 from gyrorig_solver.estimate.noise.noise_model import Sampling
 from gyrorig_solver.estimate.sample_averaging import average_samples, averaging_factor
@@ -172,11 +173,11 @@ def too_short_error(sampling: Sampling) -> InputError:
     )
 
 
-def _sparse_samples_error(length: int, count: int) -> InputError:
+def _sparse_samples_error(length: int, count: int, link: str) -> InputError:
     return InputError(
         f"the recording has only {count} of {length} samples in a row, so their times are not "
         "those of a gyroscope",
-        "check the timestamps and the sample counter of the board, and record again",
+        WRONG_COUNTER.for_link(link),
     )
 
 
@@ -210,7 +211,7 @@ def build_series(samples: GyroSamples, common_std_s: float = 0.0) -> tuple[list[
         if length < MIN_SERIES_BLOCKS * block_size:
             continue
         if length > max(MIN_GRID_SAMPLES, MAX_GRID_RATIO * int(end - begin)):
-            raise _sparse_samples_error(length, int(end - begin))
+            raise _sparse_samples_error(length, int(end - begin), samples.link)
         series.append(_uniform_series(samples, inside, length, grids, averaging))
     sampling = Sampling(
         rate_hz=rate_hz / block_size,

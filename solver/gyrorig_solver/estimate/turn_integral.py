@@ -9,6 +9,7 @@ import numpy as np
 
 from gyrorig_protocol.errors import InputError
 from gyrorig_solver.data import FloatArray
+from gyrorig_solver.data.link_remedies import RESTART
 from gyrorig_solver.data.samples import GyroSamples
 from gyrorig_solver.estimate.rest_mean import samples_in
 from gyrorig_solver.reference.known_turns import KnownTurn
@@ -54,8 +55,9 @@ def integrate_turn(recording: int, samples: GyroSamples, turn: KnownTurn) -> Int
         )
     if np.any(np.diff(samples.segment[index]) != 0):
         raise InputError(
-            f"the board was reset during the turn at {turn.interval.begin_s:.1f} s",
-            "check the board's supply and cable, and record the turn again",
+            f"the times of the samples are interrupted during the turn at "
+            f"{turn.interval.begin_s:.1f} s, by a restart, a step of the clock or a pause",
+            RESTART.for_link(samples.link),
         )
     time_s, rate = samples.time_s[index], samples.rate_rad_s[index]
     bounds_s = np.concatenate([[turn.interval.begin_s], time_s, [turn.interval.end_s]])

@@ -57,6 +57,7 @@ class FindingsOrigin:
     recordings: Sequence[InputEntry]
     created: str  # UTC, as 2026-01-31T02:30:00Z
     software: str
+    link: str = "serial"  # on which the samples arrived, for the remedies
 
 
 def build_findings_document(
@@ -70,7 +71,7 @@ def build_findings_document(
 ) -> FindingsDocument:
     """Return the document of one board."""
     figure_files = figures or {}
-    causes = _cause_entries(findings, raw, figure_files)
+    causes = _cause_entries(findings, raw, figure_files, origin.link)
     verdict = findings.verdict
     if verdict == "adequate" and causes:
         verdict = "explained"
@@ -164,7 +165,10 @@ def _untestable_entries(findings: CauseFindings, raw: Sequence[RawChecks]) -> li
 
 
 def _cause_entries(
-    findings: CauseFindings, raw_checks: Sequence[RawChecks], figures: Mapping[str, str]
+    findings: CauseFindings,
+    raw_checks: Sequence[RawChecks],
+    figures: Mapping[str, str],
+    link: str,
 ) -> list[CauseEntry]:
     """Return configuration errors, then searched causes by bias, then faults of the stream."""
     named_causes = {cause.cause for cause in findings.causes}
@@ -190,7 +194,7 @@ def _cause_entries(
     for (_, _, limited), (finding, names) in places.items():
         entries = configuration if _is_configuration_error(finding) else stream
         entries.append(_raw_cause(finding, list(dict.fromkeys(names)), limited))
-    searched = [_searched_cause(cause, findings, figures) for cause in findings.causes]
+    searched = [_searched_cause(cause, findings, figures, link) for cause in findings.causes]
     return [*configuration, *searched, *stream]
 
 
@@ -200,7 +204,7 @@ def _is_configuration_error(finding: StreamFinding) -> bool:
 
 
 def _searched_cause(
-    cause: NamedCause, findings: CauseFindings, figures: Mapping[str, str]
+    cause: NamedCause, findings: CauseFindings, figures: Mapping[str, str], link: str
 ) -> CauseEntry:
     is_only_cause = len(findings.causes) == 1  # then its gain is that of all causes
     return CauseEntry(
@@ -225,7 +229,7 @@ def _searched_cause(
         rivals=[document_part(RivalEntry, rival) for rival in cause.rivals],
         effect_on_calibration=[document_part(ChangeEntry, change) for change in cause.changes],
         harm_sigma=finite_values(cause.parameter_bias_sigma),
-        remedy=cause_remedy(cause.cause),
+        remedy=cause_remedy(cause.cause, link),
         recording=cause.recording,
     )
 

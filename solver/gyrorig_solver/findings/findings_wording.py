@@ -75,10 +75,15 @@ def cause_title(cause: str) -> str:
     return _OTHER_TITLES.get(cause, cause.replace("_", " ").capitalize())
 
 
-def cause_remedy(cause: str) -> str:
-    """Return what to do about a cause, or "" where nothing is known."""
+def cause_remedy(cause: str, link: str = "serial") -> str:
+    """Return what to do about a cause, or "" where nothing is known.
+
+    Args:
+        cause: the id of the cause.
+        link: on which the samples arrived.
+    """
     if cause in catalogue():
-        return catalogue()[cause].remedy
+        return catalogue()[cause].remedy_for(link)
     return ReferenceSmoothing.remedy if cause == ReferenceSmoothing.cause else ""
 
 

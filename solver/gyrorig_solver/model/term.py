@@ -14,6 +14,7 @@ import numpy as np
 
 from gyrorig_protocol.profile import SensorProfile
 from gyrorig_solver.data import BoolArray, FloatArray, IntArray
+from gyrorig_solver.data.link_remedies import LinkRemedy
 from gyrorig_solver.model.cause_categories import (
     BRIEF_COVARIATES,
     Kind,
@@ -156,6 +157,7 @@ class Term(ABC):
     parameters: tuple[TermParameter, ...]
     confused_with: tuple[str, ...] = ()  # causes that look similar, the most similar first
     remedy: str  # what to do at the rig
+    file_remedy: str = ""  # in place of `remedy` for data that somebody else recorded
     covariates: tuple[str, ...] | None  # for the specification test; None: no predictor known
     picture: BinnedDependence | None  # None: the residual over time, around the event
     excitation: str  # what a recording needs to show the cause and to separate it
@@ -199,6 +201,10 @@ class Term(ABC):
     @abstractmethod
     def describe(self, values: FloatArray) -> str:
         """Return a sentence that explains these values to the person at the rig."""
+
+    def remedy_for(self, link: str) -> str:
+        """Return what to do, by the link of the board (see `LinkRemedy`)."""
+        return LinkRemedy(self.remedy, self.file_remedy).for_link(link)
 
     def propagate(self, state: SignalState, values: FloatArray) -> SignalState:
         """Return the signal that later stages see, with this cause applied."""

@@ -15,6 +15,7 @@ from gyrorig_protocol.errors import InputError, UsageError
 from gyrorig_protocol.module_registry import registered_modules
 from gyrorig_protocol.recording.recording import Recording, in_order_of_time
 from gyrorig_protocol.recording.recording_names import distinct_names
+from gyrorig_solver.data.link_remedies import STUCK_SENSOR
 from gyrorig_solver.data.samples import GyroSamples, load_samples
 from gyrorig_solver.data.stream.exact_repeats import without_repeats
 from gyrorig_solver.data.stream.stuck_axes import without_clipping
@@ -160,7 +161,7 @@ def load_changing_samples(recording: Recording, board: str) -> GyroSamples:
     raise InputError(
         f"all {len(rates)} samples of board {board} in the recording {recording.path.name} are "
         "equal, so the sensor did not measure",
-        "check the power mode and the register addresses of the sensor, and record again",
+        STUCK_SENSOR.for_link(samples.link),
     )
 
 

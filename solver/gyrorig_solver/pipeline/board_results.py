@@ -50,6 +50,11 @@ class BoardExplanation:
     temperature: "RestTemperature | None" = None  # if the bias at rest depends on the temperature
     next_experiment: NextExperiment | None = None  # if sets of causes are stated
 
+    @property
+    def link(self) -> str:
+        """The way on which the samples arrived, as in the metadata of the first recording."""
+        return self.recordings[0].metadata.get(f"gyrorig.board.{self.board}", {}).get("link", "")
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CriticisedFit:
@@ -85,4 +90,4 @@ def check_fitted_gain(data: BoardData, gain: FloatArray) -> RawChecks:
     sensor = first.metadata.get(f"gyrorig.board.{data.board}", {}).get("sensor", "")
     profile = find_profile(sensor)
     tolerance = None if profile is None else profile.scale_tolerance
-    return RawChecks(name, check_gain(np.asarray(gain), tolerance))
+    return RawChecks(name, check_gain(np.asarray(gain), tolerance, data.samples[0].link))

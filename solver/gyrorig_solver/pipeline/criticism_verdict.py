@@ -14,20 +14,39 @@ import msgspec
 from gyrorig_solver.calibration import CalibrationDocument
 from gyrorig_solver.calibration.calibration_document import Trust
 from gyrorig_solver.calibration.verdict import Verdict
+from gyrorig_solver.data.link_remedies import LinkRemedy
 from gyrorig_solver.discover import FitCriticism
 from gyrorig_solver.findings import FindingsDocument
 from gyrorig_solver.model import Term
 
+FILE_REMEDY = "Read the findings report, and use a recording or a reference without this effect"
+UNFITTED_REMEDY = LinkRemedy(
+    rig="Read the findings report, fix the cause and record again", file=FILE_REMEDY
+)
+UNEXPLAINED_REMEDY = LinkRemedy(
+    rig="Read the findings report, fix the rig and record again", file=FILE_REMEDY
+)
+
 
 def add_findings(
-    calibration: CalibrationDocument, findings: FindingsDocument, named: Sequence[Term]
+    calibration: CalibrationDocument,
+    findings: FindingsDocument,
+    named: Sequence[Term],
+    link: str = "serial",
 ) -> CalibrationDocument:
-    """Return a calibration with the verdict after a search for causes."""
+    """Return a calibration with the verdict after a search for causes.
+
+    Args:
+        calibration: of the board.
+        findings: of the search.
+        named: the causes that the search found.
+        link: on which the samples arrived, for the remedies.
+    """
     fitted = calibration.solver.terms
     unfitted = [
         cause.cause for cause in named if cause.kind == "effect" and cause.cause not in fitted
     ]
-    trust = judge_findings(calibration.trust, findings, unfitted)
+    trust = judge_findings(calibration.trust, findings, unfitted, link)
     unexplained = findings.unexplained
     covariates = [unexplained.best_covariate] if unexplained is not None else []
     return _with_effects(calibration, trust, [*unfitted, *covariates])
@@ -41,16 +60,17 @@ def add_criticism(calibration: CalibrationDocument, criticism: FitCriticism) -> 
     return _with_effects(calibration, judge_criticism(calibration.trust, criticism), effects)
 
 
-def judge_findings(trust: Trust, findings: FindingsDocument, unfitted: Sequence[str]) -> Trust:
+def judge_findings(
+    trust: Trust, findings: FindingsDocument, unfitted: Sequence[str], link: str = "serial"
+) -> Trust:
     """Return the verdict after a search for causes."""
     reasons = []
     if unfitted:
         reasons.append(
             f"this fit does not include {', '.join(unfitted)}, which the search found, so the "
-            "parameters contain the effect. Read the findings report, fix the cause and record "
-            "again"
+            f"parameters contain the effect. {UNFITTED_REMEDY.for_link(link)}"
         )
-    return _limit(trust, [*reasons, *_unexplained_reasons(findings)])
+    return _limit(trust, [*reasons, *_unexplained_reasons(findings, link)])
 
 
 def judge_criticism(trust: Trust, criticism: FitCriticism) -> Trust:
@@ -71,7 +91,7 @@ def judge_criticism(trust: Trust, criticism: FitCriticism) -> Trust:
     return _limit(trust, [reason])
 
 
-def _unexplained_reasons(findings: FindingsDocument) -> list[str]:
+def _unexplained_reasons(findings: FindingsDocument, link: str) -> list[str]:
     unexplained = findings.unexplained
     if unexplained is None:
         return []
@@ -82,8 +102,8 @@ def _unexplained_reasons(findings: FindingsDocument) -> list[str]:
     )
     return [
         "no known cause explains a part of the residual, which depends "
-        f"{unexplained.best_covariate}. This effect can bias a parameter{size_text}. Read the "
-        "findings report, fix the rig and record again"
+        f"{unexplained.best_covariate}. This effect can bias a parameter{size_text}. "
+        f"{UNEXPLAINED_REMEDY.for_link(link)}"
     ]
 
 

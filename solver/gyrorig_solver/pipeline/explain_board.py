@@ -223,6 +223,7 @@ def build_document(
         ],
         created=utc_text_now(),
         software=installed_version("gyrorig"),
+        link=explanation.link,
     )
     return build_findings_document(
         explanation.findings,

@@ -271,7 +271,7 @@ def with_search_findings(
     is_fitted = explanation.fit_explanation is not None
     named = [] if is_fitted else [cause.term for cause in explanation.findings.causes]
     return msgspec.structs.replace(
-        add_findings(calibration, findings, named),
+        add_findings(calibration, findings, named, explanation.link),
         findings=FindingsReference(
             verdict=findings.verdict,
             causes=[cause.cause for cause in findings.causes],

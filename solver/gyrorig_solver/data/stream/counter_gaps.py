@@ -2,12 +2,10 @@
 
 import numpy as np
 
-from gyrorig_solver.data.lost_sample_remedies import lost_samples_remedy
+from gyrorig_solver.data.link_remedies import CLOCK_STEP, LOST_SAMPLES, RESTART
 from gyrorig_solver.data.stream.count_stream import CheckResult, CountStream, StreamFinding
 
 CHECK_NAME = "gaps and restarts"
-RESTART_REMEDY = "check the board's supply and its cable"
-STEP_REMEDY = "do not suspend the host, and check the board's firmware"
 
 
 def check_counter_gaps(stream: CountStream) -> CheckResult:
@@ -32,7 +30,7 @@ def check_counter_gaps(stream: CountStream) -> CheckResult:
                 "1",
                 f"{samples.lost} of {total} samples ({100.0 * share:.2g} %) are missing by the "
                 f"board's counter, in {gaps.size} gaps",
-                lost_samples_remedy(samples.link),
+                LOST_SAMPLES.for_link(samples.link),
                 stream.times_s(gaps + 1),
             )
         )
@@ -51,7 +49,7 @@ def check_counter_gaps(stream: CountStream) -> CheckResult:
                 float(clock.restarts),
                 "1",
                 f"the board restarted {clock.restarts} times",
-                RESTART_REMEDY,
+                RESTART.for_link(samples.link),
                 stream.times_s(segment_starts),
             )
         )
@@ -69,7 +67,7 @@ def check_counter_gaps(stream: CountStream) -> CheckResult:
                 "1",
                 f"the clock of the board or of the host jumped {clock.steps} times without a "
                 "gap in the samples",
-                STEP_REMEDY,
+                CLOCK_STEP.for_link(samples.link),
                 stream.times_s(segment_starts),
             )
         )

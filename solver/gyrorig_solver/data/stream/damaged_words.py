@@ -15,6 +15,7 @@ import numpy as np
 from scipy.special import bdtrc
 
 from gyrorig_solver.data.arrays import FloatArray, IntArray
+from gyrorig_solver.data.link_remedies import DAMAGED_WORDS
 from gyrorig_solver.data.stream.count_stream import (
     AXES,
     WINDOW_SAMPLES,
@@ -34,10 +35,6 @@ MAX_CHANCE_P = 1e-3  # that so many spikes agree with a damaged word by chance
 # Errors that are added to a spike, to measure how often it agrees by chance; in counts.
 CONTROL_ERRORS = (37.0, -53.0, 71.0, -89.0, 103.0, -127.0)
 WORD_BITS = 16
-REMEDY = (
-    "add a check sum to the frame, read the six bytes in one burst with block data update on, "
-    "and check the speed, the pull-ups and the cable of the bus"
-)
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,7 +83,7 @@ def check_damaged_words(stream: CountStream) -> CheckResult:
         size=share,
         unit="1",
         seen_as=summary,
-        remedy=REMEDY,
+        remedy=DAMAGED_WORDS.for_link(stream.samples.link),
         times_s=stream.times_s(np.array([word.row for word in words], dtype=np.int64)),
     )
     return CheckResult(CHECK_NAME, summary, (finding,))

@@ -11,6 +11,7 @@ import numpy as np
 
 from gyrorig_solver.data.arrays import BoolArray, IntArray
 from gyrorig_solver.data.count_columns import stored_column
+from gyrorig_solver.data.link_remedies import REPEATS
 from gyrorig_solver.data.samples import GyroSamples
 from gyrorig_solver.data.stream.count_stream import (
     MAX_P_VALUE,
@@ -27,10 +28,6 @@ MAX_CHANCE_SHARE = 0.2  # of the repeats; with a larger share by chance, no samp
 CHANCE_FACTOR = 1.25  # the axes are not quite independent: one motion drives all of them
 MIN_REPEATS = 3
 MAX_SAMPLES_WITH_ACCEL = 4_000_000  # samples
-REMEDY = (
-    "read the sensor on its data-ready signal or at its output rate, and check for a lossy "
-    "radio link that repeats the last sample"
-)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -76,7 +73,7 @@ def check_repeats(stream: CountStream) -> CheckResult:
         size=share,
         unit="1",
         seen_as=description,
-        remedy=REMEDY,
+        remedy=REPEATS.for_link(stream.samples.link),
         times_s=stream.times_s(repeats.rows),
     )
     return CheckResult(CHECK_NAME, description, (finding,))

@@ -12,35 +12,37 @@ import math
 import numpy as np
 
 from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.data.link_remedies import WRONG_AXES, WRONG_FULL_SCALE
 from gyrorig_solver.data.stream.count_stream import AXES, CheckResult, StreamFinding
 
 AXES_CHECK_NAME, FULL_SCALE_CHECK_NAME = "axes and signs", "full scale"
 MIRROR_CAUSES = ("axis_swap", "sign_flip")
 MAX_MOUNT_DISTANCE = 0.5  # of the unscaled gain from P; above it the mount is oblique
 MAX_POWER_OF_TWO_ERROR = 0.2  # of a scale from a power of two; data sheets allow 2 to 15 %
-AXES_REMEDY = "correct the order and the signs of the axes in the driver or in the board's columns"
-FULL_SCALE_REMEDY = (
-    "read back the range register, and set the board's full scale to that value; "
-    "all rates are wrong by this factor until then"
-)
 TURNED_TEXT = (
     "the board is mounted in a rotated position: {how}. Exchanged axes would give the same data; "
     "check the mounting of the board"
 )
 
 
-def check_gain(gain: FloatArray, tolerance: float | None = None) -> tuple[CheckResult, CheckResult]:
+def check_gain(
+    gain: FloatArray, tolerance: float | None = None, link: str = "serial"
+) -> tuple[CheckResult, CheckResult]:
     """Check the axes and the full scale of a fitted gain.
 
     Args:
         gain: G = S T M, shape (3, 3), nan if not known.
         tolerance: of the scale in the sensor's data sheet, None if not known.
+        link: on which the samples arrived, for the remedies.
     """
     if not np.all(np.isfinite(gain)):
         summary = "not checked, because the gain is not fully known"
         return CheckResult(AXES_CHECK_NAME, summary), CheckResult(FULL_SCALE_CHECK_NAME, summary)
     row_norms = np.linalg.norm(gain, axis=1)  # without the sign of a mirrored sensor, unlike S
-    return _check_axes(gain / row_norms[:, None]), _check_full_scale(row_norms, tolerance or 0.15)
+    return (
+        _check_axes(gain / row_norms[:, None], link),
+        _check_full_scale(row_norms, tolerance or 0.15, link),
+    )
 
 
 def nearest_signed_permutation(gain: FloatArray) -> FloatArray:
@@ -55,7 +57,7 @@ def nearest_signed_permutation(gain: FloatArray) -> FloatArray:
     return nearest_matrix
 
 
-def _check_axes(gain: FloatArray) -> CheckResult:
+def _check_axes(gain: FloatArray, link: str) -> CheckResult:
     permutation = nearest_signed_permutation(gain)
     if np.array_equal(permutation, np.eye(3)):
         return CheckResult(
@@ -84,7 +86,7 @@ def _check_axes(gain: FloatArray) -> CheckResult:
             "mount can mirror a board"
         )
         return _mirror_result(
-            summary, (_axis_finding("axis_swap", "exchanged", exchanged, summary),)
+            summary, (_axis_finding("axis_swap", "exchanged", exchanged, summary, link),)
         )
     if not pairs and np.array_equal(np.abs(permutation), np.eye(3)):
         axis_names = " and ".join(reversed_axes)
@@ -95,13 +97,15 @@ def _check_axes(gain: FloatArray) -> CheckResult:
         if len(negative) == 3:
             summary += "; the unit's pan_sign and tilt_sign can be wrong instead"
         return _mirror_result(
-            summary, (_axis_finding("sign_flip", "flipped", reversed_axes, summary),)
+            summary, (_axis_finding("sign_flip", "flipped", reversed_axes, summary, link),)
         )
     summary = (
         f"the axes are mirrored: {mapping_text}. Either one sign is wrong or two axes are "
         "exchanged. In both cases the board is also mounted in a rotated position"
     )
-    return _mirror_result(summary, (_axis_finding("sign_flip", "flipped", reversed_axes, summary),))
+    return _mirror_result(
+        summary, (_axis_finding("sign_flip", "flipped", reversed_axes, summary, link),)
+    )
 
 
 def _mirror_result(summary: str, findings: tuple[StreamFinding, ...]) -> CheckResult:
@@ -109,10 +113,10 @@ def _mirror_result(summary: str, findings: tuple[StreamFinding, ...]) -> CheckRe
 
 
 def _axis_finding(
-    cause: str, quantity: str, where: tuple[str, ...], description: str
+    cause: str, quantity: str, where: tuple[str, ...], description: str, link: str
 ) -> StreamFinding:
     return StreamFinding(
-        cause, "link", where, 1, 1, 0.0, quantity, 1.0, "1", description, AXES_REMEDY
+        cause, "link", where, 1, 1, 0.0, quantity, 1.0, "1", description, WRONG_AXES.for_link(link)
     )
 
 
@@ -126,7 +130,7 @@ def _axis_mapping_text(permutation: FloatArray) -> str:
     return ", ".join(words)
 
 
-def _check_full_scale(scale: FloatArray, tolerance: float) -> CheckResult:
+def _check_full_scale(scale: FloatArray, tolerance: float, link: str) -> CheckResult:
     mean_scale = float(np.exp(np.mean(np.log(scale))))
     doublings = round(math.log2(mean_scale))
     summary = (
@@ -143,6 +147,6 @@ def _check_full_scale(scale: FloatArray, tolerance: float) -> CheckResult:
     )
     finding = StreamFinding(
         "wrong_full_scale", "link", (), 1, 1, 0.0, "doublings", float(doublings), "1",
-        description, FULL_SCALE_REMEDY,
+        description, WRONG_FULL_SCALE.for_link(link),
     )  # fmt: skip
     return CheckResult(FULL_SCALE_CHECK_NAME, description, (finding,))

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gyrorig_solver.data.arrays import BoolArray
+from gyrorig_solver.data.link_remedies import STUCK_AXIS
 from gyrorig_solver.data.samples import GyroSamples
 from gyrorig_solver.data.stream.count_stream import (
     AXES,
@@ -26,7 +27,6 @@ STUCK_CHECK_NAME, CLIPPING_CHECK_NAME = "stuck axes", "clipping"
 MAX_RUN_PROBABILITY = 1e-9
 MIN_RUN_LENGTH = 8
 CLIPPING_MARGIN_S = 0.1
-STUCK_REMEDY = "check the register address and the power mode of that axis, and the sensor itself"
 CLIPPING_REMEDY = "use a larger full scale, or turn more slowly"
 
 
@@ -163,7 +163,7 @@ def _stuck_axis_finding(
         "share", share, "1",
         f"axis {AXES[axis]} keeps the same count for {count} samples "
         f"({100.0 * share:.2g} %) while the other axes change",
-        STUCK_REMEDY, times_s,
+        STUCK_AXIS.for_link(stream.samples.link), times_s,
     )  # fmt: skip
 
 

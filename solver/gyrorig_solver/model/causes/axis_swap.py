@@ -7,6 +7,7 @@ far from any rotation that a mount can have. The nearest signed permutation iden
 import numpy as np
 
 from gyrorig_solver.data import FloatArray
+from gyrorig_solver.data.link_remedies import WRONG_AXES
 from gyrorig_solver.model.signal_state import SignalState
 from gyrorig_solver.model.term import size_parameter
 from gyrorig_solver.model.term_kinds import LinearTerm
@@ -30,6 +31,7 @@ class AxisSwap(LinearTerm):
     )
     confused_with = ("sign_flip",)
     remedy = "correct the order of the axes in the driver or in the board's columns"
+    file_remedy = WRONG_AXES.file
     covariates = None
     is_configuration_error = True
     picture = None

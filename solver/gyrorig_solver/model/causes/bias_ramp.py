@@ -31,6 +31,7 @@ class BiasRamp(LinearTerm):
     )
     confused_with = ("thermal_bias", "warm_up", "bias_random_walk", "bias_step")
     remedy = "let the board warm up before recording, or record for longer"
+    file_remedy = "leave out the data before the board was warm, or use a longer recording"
     covariates = ("bias_time",)
     picture = BinnedDependence("mean", "time")
     excitation = "a longer recording, with the temperature of the board"

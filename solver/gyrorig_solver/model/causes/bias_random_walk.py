@@ -35,6 +35,7 @@ class BiasRandomWalk(ZeroMeanTerm):
     )
     confused_with = ("bias_ramp", "warm_up", "thermal_bias", "bias_step")
     remedy = "change nothing at the rig, because the standard uncertainties include the random walk"
+    file_remedy = "change nothing, because the standard uncertainties include the random walk"
     covariates = None
     picture = BinnedDependence("mean", "time")
     is_noise_process = True

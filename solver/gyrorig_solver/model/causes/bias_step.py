@@ -29,6 +29,10 @@ class BiasStep(LinearTerm):
     )
     confused_with = ("bias_ramp", "thermal_bias", "warm_up", "bias_random_walk")
     remedy = "check the board's supply, load and light at that moment, and record again"
+    file_remedy = (
+        "solve the data before and after the step separately, or ask the person who recorded "
+        "the file what happened at that moment"
+    )
     covariates = ("bias_time",)
     picture = BinnedDependence("mean", "time")
     excitation = "rests before and after the step, and a second recording without a step"

@@ -35,6 +35,7 @@ class BoardSlip(NonlinearTerm):
         "fasten the board and record again, because the calibration needs a mount that does "
         "not move"
     )
+    file_remedy = "solve the data before and after the slip separately"
     covariates = ("time",)
     picture = BinnedDependence("gain", "time", 12)
     reference_alternative = "the markers on the board can have moved instead"

@@ -52,6 +52,7 @@ class ClockSawtooth(TimeTerm):
         "let the time service slew the clock instead of setting it, or timestamp the samples with "
         "a clock that nothing corrects"
     )
+    file_remedy = "use times that nothing corrects if the file has them (`time` in the import map)"
     covariates = ("move_delay",)
     picture = BinnedDependence("lag", "time")
     reference_alternative = "the saw-tooth can be in the reference's clock instead"

@@ -30,6 +30,10 @@ class ClockSkew(TimeTerm):
         "timestamp the samples with the board's clock instead of counting them at the nominal "
         "output rate"
     )
+    file_remedy = (
+        "use the times of the sensor if the file has them, and correct `rate_hz` or `unit` "
+        "under `time` in the import map"
+    )
     covariates = ("move_delay",)
     picture = BinnedDependence("lag", "time")
     reference_alternative = "the error can be in the reference's clock instead"

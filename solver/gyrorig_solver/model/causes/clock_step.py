@@ -9,6 +9,7 @@ the unit or the filter has changed.
 import numpy as np
 
 from gyrorig_solver.data import FloatArray
+from gyrorig_solver.data.link_remedies import CLOCK_STEP
 from gyrorig_solver.model.signal_state import SignalState
 from gyrorig_solver.model.term import EVENT_TIME, BinnedDependence, TermParameter
 from gyrorig_solver.model.term_kinds import TimeTerm, event_times, scan_grid
@@ -32,6 +33,7 @@ class ClockStep(TimeTerm):
         "do not suspend the host or set its clock during a recording, and check the host's log "
         "for USB reconnections"
     )
+    file_remedy = CLOCK_STEP.file
     covariates = ("move_delay",)
     picture = BinnedDependence("lag", "time")
     reference_alternative = "the step can be in the reference's clock instead"

@@ -7,6 +7,7 @@ lets none through.
 """
 
 from gyrorig_solver.data import FloatArray
+from gyrorig_solver.data.link_remedies import DAMAGED_WORDS
 from gyrorig_solver.model.term import TermParameter
 from gyrorig_solver.model.term_kinds import ZeroMeanTerm
 
@@ -25,6 +26,7 @@ class CorruptSamples(ZeroMeanTerm):
     )
     confused_with = ("repeated_samples",)
     remedy = "add a checksum to the frame, read all axes in one burst, and check the cable"
+    file_remedy = DAMAGED_WORDS.file
     covariates = None
     picture = None
     excitation = (

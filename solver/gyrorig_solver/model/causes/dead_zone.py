@@ -46,6 +46,7 @@ class DeadZone(NonlinearTerm):
         "check the board's firmware for a filter or a threshold, or let `gyrorig solve` fit this "
         "cause"
     )
+    file_remedy = "let `gyrorig solve` fit this cause"
     covariates = RATE_COVARIATES
     picture = BinnedDependence("mean", "own_rate", 41)
     excitation = "moves slower than the suspected threshold, about every axis"

@@ -8,6 +8,7 @@ board's own timestamps or sequence numbers separate the two.
 import numpy as np
 
 from gyrorig_solver.data import FloatArray
+from gyrorig_solver.data.link_remedies import LOST_SAMPLES
 from gyrorig_solver.model.causes.clock_step import SCAN_TIMES, instants_after
 from gyrorig_solver.model.signal_state import SignalState
 from gyrorig_solver.model.term import EVENT_TIME, BinnedDependence, TermParameter
@@ -35,6 +36,7 @@ class LostSamples(TimeTerm):
     )
     confused_with = ("clock_step", "clock_skew")
     remedy = "send and store a sequence number with every sample, or lower the output rate"
+    file_remedy = LOST_SAMPLES.file
     covariates = ("move_delay",)
     picture = BinnedDependence("lag", "time")
     first_order_equivalent = "clock_step"

@@ -6,6 +6,7 @@ rare. In the mean it is a lag of share/2 periods, which is part of the time offs
 """
 
 from gyrorig_solver.data import FloatArray
+from gyrorig_solver.data.link_remedies import REPEATS
 from gyrorig_solver.model.term import TermParameter
 from gyrorig_solver.model.term_kinds import ZeroMeanTerm
 
@@ -24,6 +25,7 @@ class RepeatedSamples(ZeroMeanTerm):
     )
     confused_with = ("corrupt_samples", "sample_jitter")
     remedy = "read the sensor at its data-ready signal or at its output rate"
+    file_remedy = REPEATS.file
     covariates = None
     picture = None
     excitation = (

@@ -27,6 +27,10 @@ class SampleJitter(ZeroMeanTerm):
     )
     confused_with = ("acceleration_error", "repeated_samples")
     remedy = "timestamp the samples in the board's data-ready interrupt"
+    file_remedy = (
+        "use the times of the sensor instead of those of the arrival if the file has them "
+        "(`time` in the import map)"
+    )
     covariates = None
     picture = None
     similar_in_draws = "any other noise that is larger during acceleration"

@@ -5,6 +5,7 @@ negative determinant, which no mount can produce.
 """
 
 from gyrorig_solver.data import FloatArray
+from gyrorig_solver.data.link_remedies import WRONG_AXES
 from gyrorig_solver.model.signal_arrays import split_axes
 from gyrorig_solver.model.signal_state import SignalState
 from gyrorig_solver.model.term import size_parameter
@@ -26,6 +27,7 @@ class SignFlip(LinearTerm):
     )
     confused_with = ("axis_swap",)
     remedy = "correct the sign of the axis in the driver or in the board's columns"
+    file_remedy = WRONG_AXES.file
     covariates = None
     is_configuration_error = True
     picture = None

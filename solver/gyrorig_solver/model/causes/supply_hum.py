@@ -40,6 +40,7 @@ class SupplyHum(LinearTerm):
         "supply the board from a battery or a linear supply, and separate its ground from the "
         "motors' ground"
     )
+    file_remedy = "ask the person who recorded the file what vibrates or hums at this frequency"
     covariates = ("bias_time",)
     picture = None
     template_search = "spectral_lines"

@@ -39,6 +39,10 @@ class ThermalBias(LinearTerm):
         "let the board warm up before recording and keep draughts away, or let `gyrorig solve` "
         "fit this cause, which needs the temperature of the board"
     )
+    file_remedy = (
+        "leave out the data before the board was warm, or let `gyrorig solve` fit this cause, "
+        "which needs the temperature of the board"
+    )
     covariates = ("bias_time",)
     picture = BinnedDependence("mean", "temperature")
     depends_on_temperature = True

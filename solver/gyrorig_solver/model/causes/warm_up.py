@@ -32,6 +32,7 @@ class WarmUp(LinearTerm):
     )
     confused_with = ("thermal_bias", "bias_ramp", "bias_step", "bias_random_walk")
     remedy = "switch the board on ten minutes before recording"
+    file_remedy = "leave out the data before the board was warm"
     covariates = ("bias_time",)
     picture = BinnedDependence("mean", "time")
     excitation = "one recording that starts at power-on, and one an hour later"

@@ -8,6 +8,7 @@ identifies it, because data sheets limit this distance to 2 to 15 %.
 import numpy as np
 
 from gyrorig_solver.data import FloatArray
+from gyrorig_solver.data.link_remedies import WRONG_FULL_SCALE
 from gyrorig_solver.model.signal_state import SignalState
 from gyrorig_solver.model.term import TermParameter
 from gyrorig_solver.model.term_kinds import NonlinearTerm, scan_grid
@@ -27,6 +28,7 @@ class WrongFullScale(NonlinearTerm):
     )
     confused_with = ("clock_skew",)
     remedy = "read the range register of the sensor and set the board's full scale to that value"
+    file_remedy = WRONG_FULL_SCALE.file
     covariates = None
     is_configuration_error = True
     picture = None
