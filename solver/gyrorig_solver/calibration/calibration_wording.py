@@ -73,14 +73,7 @@ def _exclusion_sentence(calibration: CalibrationDocument) -> str:
             return "Tests of the residual found no further effect."
         subject = "Rig errors below this limit are" if calibration.noise else "Rig errors are"
         return f"{subject} not excluded; run `gyrorig explain`."
-    causes, terms = findings.distinct_causes, calibration.solver.terms
-    fitted = [cause for cause in causes if cause in terms]
-    in_gain = [  # a negative or a doubled scale factor, for example
-        cause
-        for cause in causes
-        if cause in catalogue() and catalogue()[cause].is_configuration_error
-    ]
-    others = [cause for cause in causes if cause not in (*fitted, *in_gain)]
+    fitted, in_gain, others = group_causes(calibration)
     sentences = []
     if fitted:
         sentences.append(f"The fit includes the causes that a search found: {_names(fitted)}.")
@@ -92,6 +85,23 @@ def _exclusion_sentence(calibration: CalibrationDocument) -> str:
             f"The findings {also}name {_names(others)}, which the fit does not include."
         )
     return " ".join(sentences) or "A search for further causes found none in the rates."
+
+
+def group_causes(calibration: CalibrationDocument) -> tuple[list[str], list[str], list[str]]:
+    """Return the causes that a search found, by what the calibration does about them.
+
+    Returns:
+        The terms of the fit; the causes that the gain includes, for example as a negative or a
+        doubled scale factor; and the causes that no parameter includes.
+    """
+    causes = [] if calibration.findings is None else calibration.findings.distinct_causes
+    fitted = [cause for cause in causes if cause in calibration.solver.terms]
+    in_gain = [
+        cause
+        for cause in causes
+        if cause in catalogue() and catalogue()[cause].is_configuration_error
+    ]
+    return fitted, in_gain, [cause for cause in causes if cause not in (*fitted, *in_gain)]
 
 
 def _names(causes: Sequence[str]) -> str:

@@ -14,6 +14,7 @@ from gyrorig_solver.calibration.calibration_document import ParameterUncertainty
 from gyrorig_solver.calibration.calibration_wording import (
     axes_text,
     cause_groups,
+    group_causes,
     level_sentence,
     shown_entries,
     value_std_pairs,
@@ -198,12 +199,12 @@ def findings_text(calibration: CalibrationDocument) -> str:
     if findings.verdict == "adequate":
         words = "No error of the rig model was found"
     elif findings.causes:
-        fitted = [cause for cause in findings.distinct_causes if cause in calibration.solver.terms]
-        others = [cause for cause in findings.distinct_causes if cause not in fitted]
+        fitted, in_gain, others = group_causes(calibration)
         named = ". ".join(
             f"{start}: {', '.join(cause.replace('_', ' ') for cause in causes)}"
             for start, causes in (
                 ("The fit includes the identified causes", fitted),
+                ("The gain, and so the correction, includes the identified causes", in_gain),
                 ("Identified causes that are not terms of the fit", others),
             )
             if causes

@@ -193,7 +193,9 @@ def test_full_report_has_every_section(good_fit: GyroFit, provenance: Provenance
             calibration.solver, terms=[*calibration.solver.terms, "backlash"]
         ),
         findings=FindingsReference(
-            verdict="explained", causes=["backlash", "lost_samples"], file="v0001.findings.yaml"
+            verdict="explained",
+            causes=["backlash", "sign_flip", "lost_samples"],
+            file="v0001.findings.yaml",
         ),
     )
     profile = parse_profile((BOARDS / "L3G4200D.yaml").read_text(), "L3G4200D.yaml")
@@ -205,7 +207,8 @@ def test_full_report_has_every_section(good_fit: GyroFit, provenance: Provenance
         *("integration time, s", "Allan deviation", "pan, deg", "tilt, deg", "latency, ms"),
         *("the data sheet allows -25.0 to 25.0 deg/s", "angle random walk", "deg/√h", "one-sided"),
         *(
-            "includes the identified causes: backlash. Identified",
+            "includes the identified causes: backlash. The gain",
+            "the correction, includes the identified causes: sign flip. Identified",
             "not terms of the fit: lost samples",
         ),
         *("v0001.findings.html", "not estimated"),
