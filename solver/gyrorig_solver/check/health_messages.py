@@ -88,7 +88,10 @@ def _board_messages(board: BoardHealth) -> Iterator[str]:
         return
     if board.lost > MAX_LOST_SHARE * (board.samples + board.lost):
         yield f"{name} lost {board.lost} samples. {sentence(LOST_SAMPLES.for_link(board.link))}"
-    if board.saturated > 0:
+    yield from (
+        f"of {name}, {finding.seen_as}. {sentence(finding.remedy)}" for finding in board.still_axes
+    )
+    if board.saturated > 0 and not any(f.cause == "saturation" for f in board.still_axes):
         yield (
             f"{name} has {board.saturated} saturated samples. "
             "Use a larger full scale, or turn more slowly."

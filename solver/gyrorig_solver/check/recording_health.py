@@ -14,9 +14,12 @@ from gyrorig_protocol.recording.mcap.losses import Loss
 from gyrorig_protocol.recording.messages import EventKind, PtuStatus, imu_raw_topic
 from gyrorig_protocol.recording.recording import Recording, times_ns
 from gyrorig_solver.check.attitude_health import AttitudeHealth, examine_attitudes
-from gyrorig_solver.data.samples import GyroSamples, load_samples
+from gyrorig_solver.data.samples import GyroSamples
+from gyrorig_solver.data.stream.count_stream import CountStream, StreamFinding
+from gyrorig_solver.data.stream.stuck_axes import check_stuck_axes
 from gyrorig_solver.estimate import ObservabilityReport
 from gyrorig_solver.pipeline import BoardData
+from gyrorig_solver.pipeline.board_data import load_changing_samples
 from gyrorig_solver.reference import UNUSABLE_STATUS
 
 
@@ -43,6 +46,7 @@ class BoardHealth:
     clock_steps: int = 0  # of its clock or the host's, without a restart
     link: str = "serial"  # as in the metadata of the board
     attitudes: AttitudeHealth | None = None  # the reference attitudes, on the board's time axis
+    still_axes: tuple[StreamFinding, ...] = ()  # axes that are stuck or clipped
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,7 +134,7 @@ def _board_health(recording: Recording, board: BoardId) -> BoardHealth:
     metadata = recording.metadata.get(f"gyrorig.board.{board}", {})
     sensor = " ".join(metadata.get("sensor", "").split())  # untrusted: no line breaks
     try:
-        samples = load_samples(recording, board)
+        samples = load_changing_samples(recording, board)
     except GyrorigError as fault:
         count = len(recording.topics[imu_raw_topic(board)])
         return BoardHealth(
@@ -159,6 +163,11 @@ def _board_health(recording: Recording, board: BoardId) -> BoardHealth:
         clock_steps=clock.steps,
         link=samples.link,
         attitudes=examine_attitudes(recording, samples),
+        still_axes=tuple(
+            finding
+            for result in check_stuck_axes(CountStream(samples))
+            for finding in result.findings
+        ),
     )
 
 

@@ -257,9 +257,9 @@ def _find_step(rate_rad_s: FloatArray) -> float | None:
     is_repeated = repeats >= MIN_REPEATS
     if rate_rad_s.size < MIN_STEP_SAMPLES or 2 * repeats[is_repeated].sum() < rate_rad_s.size:
         return None
-    levels, repeats = levels[is_repeated], repeats[is_repeated]
     gaps, weights = np.diff(levels), np.minimum(repeats[1:], repeats[:-1])
-    is_real = gaps >= MIN_STEP_RAD_S
+    # Between two levels that a clipped motion repeats are others, so their difference is no step.
+    is_real = (gaps >= MIN_STEP_RAD_S) & is_repeated[1:] & is_repeated[:-1]
     if not is_real.any():
         return None
     # A rest has the most samples per level and no missing level.

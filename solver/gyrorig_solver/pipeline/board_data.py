@@ -4,6 +4,7 @@ What to use when: `load_board` from recordings; `reference_kinds` for the kinds 
 which are the modules of `pipeline.references` that have a `KIND`.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property
@@ -18,7 +19,7 @@ from gyrorig_protocol.recording.recording_names import distinct_names
 from gyrorig_solver.data.link_remedies import STUCK_SENSOR
 from gyrorig_solver.data.samples import GyroSamples, load_samples
 from gyrorig_solver.data.stream.exact_repeats import without_repeats
-from gyrorig_solver.data.stream.stuck_axes import without_clipping
+from gyrorig_solver.data.stream.stuck_axes import CLIPPING_REMEDY, without_clipping
 from gyrorig_solver.pipeline import references
 from gyrorig_solver.pipeline.one_board import check_same_board
 from gyrorig_solver.pipeline.rest_check import check_rests
@@ -91,11 +92,12 @@ class BoardData:
         """The samples of each recording; clipped ones are not usable.
 
         Raises:
+            InputError: no sample of a recording is usable.
             UsageError: the board's settings differ between recordings, or a recording is given
                 twice.
         """
         self.check_recordings()
-        return tuple(map(without_clipping, self.samples))
+        return tuple(_require_usable(without_clipping(samples)) for samples in self.samples)
 
     @cached_property
     def sessions(self) -> tuple[Session, ...]:
@@ -104,13 +106,16 @@ class BoardData:
         Exact repeats and clipped samples are marked as not usable.
 
         Raises:
+            InputError: no sample of a recording is usable.
             UsageError: a reference does not give the rate at each time, the board's settings differ
                 between recordings, or a recording is given twice.
         """
         if self.changed_sessions is not None:
             return self.changed_sessions
         self.check_recordings()
-        usable = [without_clipping(without_repeats(samples)) for samples in self.samples]
+        usable = [
+            _require_usable(without_clipping(without_repeats(samples))) for samples in self.samples
+        ]
         return tuple(
             (recording, samples, reference_motion(recording, samples))
             for recording, samples in zip(self.recordings, usable, strict=True)
@@ -154,14 +159,30 @@ def load_changing_samples(recording: Recording, board: str) -> GyroSamples:
             equal.
     """
     samples = load_samples(recording, board)
-    rates = samples.rate_rad_s
-    for first in range(0, len(rates), PIECE_SAMPLES):
-        if np.any(rates[first : first + PIECE_SAMPLES] != rates[:1]):
+    counts = samples.counts
+    for first in range(0, len(counts), PIECE_SAMPLES):
+        if np.any(counts[first : first + PIECE_SAMPLES] != counts[:1]):
             return samples
     raise InputError(
-        f"all {len(rates)} samples of board {board} in the recording {recording.path.name} are "
+        f"all {len(counts)} samples of board {board} in the recording {recording.path.name} are "
         "equal, so the sensor did not measure",
         STUCK_SENSOR.for_link(samples.link),
+    )
+
+
+def _require_usable(samples: GyroSamples) -> GyroSamples:
+    """Return samples if one of them is usable.
+
+    Raises:
+        InputError: all samples are clipped, saturated or repeated.
+    """
+    if samples.usable.any():
+        return samples
+    limit_dps = math.degrees(float(np.abs(samples.counts).max()) * samples.gyro.scale)
+    raise InputError(
+        f"none of the {samples.usable.size} samples of board {samples.board} is usable: they stay "
+        f"at the end of the sensor's range, {limit_dps:.4g} deg/s, or repeat the sample before",
+        CLIPPING_REMEDY,
     )
 
 

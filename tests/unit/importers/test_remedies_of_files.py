@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from gyrorig_solver.calibration.verdict import judge_fit
 from gyrorig_solver.data import link_remedies
 from gyrorig_solver.data.link_remedies import LinkRemedy
 from gyrorig_solver.data.samples import GyroSamples, load_samples
+from gyrorig_solver.data.stream.count_stream import COUNT_FIELDS
 from gyrorig_solver.data.stream.gain_checks import check_gain
 from gyrorig_solver.data.stream.stream_checks import check_stream
 from gyrorig_solver.estimate import fit_gravity
@@ -82,11 +84,9 @@ def test_a_cause_of_imported_data_has_a_remedy_without_a_bench(cause: str) -> No
 
 
 def as_link(samples: GyroSamples, link: str) -> GyroSamples:
-    clock = replace(samples.clock, restarts=2, steps=1)
-    columns = {name: getattr(samples, name) for name in ("rate_rad_s", "host_s")}
-    metadata = {**samples.metadata, "link": link}
-    unchanged = {"accel_m_s2": None, "temperature_degc": None}
-    return replace(samples, clock=clock, metadata=metadata, **columns, **unchanged)
+    changes: dict[str, Any] = dict.fromkeys(COUNT_FIELDS)
+    changes |= {"rate_rad_s": samples.gyro, "metadata": {**samples.metadata, "link": link}}
+    return replace(samples, clock=replace(samples.clock, restarts=2, steps=1), **changes)
 
 
 def test_findings_of_the_stream_state_the_remedy_of_their_link(recording_path: Path) -> None:

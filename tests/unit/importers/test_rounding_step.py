@@ -80,3 +80,11 @@ def test_an_axis_without_any_change_of_its_counts_is_solved(
     out = tmp_path / "calibrations"
     assert cli.run(["solve", str(recording), "--out", str(out)]) == 4
     assert capsys.readouterr().err == ""
+
+
+def test_the_ends_of_a_clipped_motion_are_no_step() -> None:
+    """Before, the step was the whole range of the sensor, 1.6 rad/s."""
+    motion = np.sin(np.arange(4000)[:, None] / [70.0, 80.0, 90.0]) + at_rest(0.3)
+    clipped = np.clip(motion, -0.5, 0.5)
+    assert np.mean(np.abs(clipped) == 0.5) > 0.5
+    assert find_rounding_step(clipped) is None

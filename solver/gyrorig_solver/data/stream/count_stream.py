@@ -19,7 +19,9 @@ WINDOW_SAMPLES = 64  # samples over which noise and motion are assumed to be con
 AXES = ("x", "y", "z")
 COUNT_FIELDS = ("host_s", "rate_rad_s", "accel_m_s2", "temperature_degc")
 NOISE_ROWS = 1 << 14
+MIN_INSIDE = WINDOW_SAMPLES // 4  # samples of a window that are not clipped
 MAX_REPEAT_SHARE = 0.9
+MIN_MOTION_STEPS = 64  # of the rounding; noise that hides in one step has a smaller span
 _MAX_EXAMPLES = 50
 
 
@@ -96,39 +98,73 @@ class CountStream:
         """Share of samples that equal the previous one by noise and quantisation, shape (3,).
 
         It is the larger of two values: twice the share for white noise of the axis' standard
-        deviation, and the upper quartile over windows.
+        deviation, and the upper quartile over windows. A clipped motion repeats its ends; these
+        samples show neither noise nor quantisation and are left out.
         """
-        shares, differences = [np.zeros((0, 3))], [np.zeros((0, 3))]
+        shares: list[list[FloatArray]] = [[], [], []]
+        differences: list[list[FloatArray]] = [[], [], []]
         for _, counts in self.pieces():
-            is_repeat = np.diff(counts, axis=0) == 0
-            window_count = is_repeat.shape[0] // WINDOW_SAMPLES
-            if window_count:
-                shares.append(
-                    is_repeat[: window_count * WINDOW_SAMPLES]
-                    .reshape(window_count, WINDOW_SAMPLES, 3)
-                    .mean(axis=1)
-                )
-            differences.append(np.abs(np.diff(counts[:NOISE_ROWS], 4, axis=0)))
-        window_shares, all_differences = np.concatenate(shares), np.concatenate(differences)
-        if not window_shares.shape[0] or not all_differences.shape[0]:
-            return np.full(3, MAX_REPEAT_SHARE)
-        # sum of squares of (1, -4, 6, -4, 1) is 70; equal readings of a normal: 1/(2 sqrt(pi) s)
-        deviation = (
-            np.median(all_differences, axis=0)
-            / 0.6745
-            / np.sqrt(70.0)
-            / np.maximum(self.count_step, 1)
+            is_inside = self._is_inside(counts)
+            for axis in range(3):
+                inside = is_inside[:, axis]
+                shares[axis].append(_window_shares(counts[:, axis], inside))
+                rows = slice(0, NOISE_ROWS)
+                differences[axis].append(_fourth_differences(counts[rows, axis], inside[rows]))
+        return np.array(
+            [
+                _repeat_share(np.concatenate(shares[k]), np.concatenate(differences[k]) / step)
+                for k, step in enumerate(np.maximum(self.count_step, 1))
+            ]
         )
-        white_share = 2.0 * 0.2821 / np.maximum(deviation, 1e-3)
-        usual_share = np.quantile(window_shares, 0.75, axis=0)
-        return np.asarray(
-            np.clip(np.maximum(white_share, usual_share), 1.0 / WINDOW_SAMPLES, MAX_REPEAT_SHARE)
-        )
+
+    def _is_inside(self, counts: IntArray) -> BoolArray:
+        """Return which counts are not at an end of an axis that moves, shape (n, 3)."""
+        lowest, highest = self._ends
+        is_end = (counts == lowest) | (counts == highest)
+        moves = highest - lowest > MIN_MOTION_STEPS * np.maximum(self.count_step, 1)
+        return np.asarray(~(is_end & moves), dtype=np.bool_)
+
+    @cached_property
+    def _ends(self) -> tuple[IntArray, IntArray]:
+        """The lowest and the highest count of each axis, each (3,)."""
+        counts = self.samples.counts
+        return counts.min(axis=0).astype(np.int64), counts.max(axis=0).astype(np.int64)
 
     def times_s(self, rows: IntArray) -> tuple[float, ...]:
         """Return the times of at most `_MAX_EXAMPLES` samples, s since the first."""
         first = self.samples.time_s[0]
         return tuple(float(self.samples.time_s[k] - first) for k in rows[:_MAX_EXAMPLES])
+
+
+def _window_shares(counts: IntArray, is_inside: BoolArray) -> FloatArray:
+    """Return the share of repeats in each window with enough samples that are inside."""
+    is_inside = is_inside[1:]
+    is_repeat = (np.diff(counts) == 0) & is_inside
+    size = is_repeat.size // WINDOW_SAMPLES * WINDOW_SAMPLES
+    repeats, inside = (
+        flags[:size].reshape(-1, WINDOW_SAMPLES).sum(axis=1) for flags in (is_repeat, is_inside)
+    )
+    is_known = inside >= MIN_INSIDE
+    return np.asarray(repeats[is_known] / inside[is_known], dtype=np.float64)
+
+
+def _fourth_differences(counts: IntArray, is_inside: BoolArray) -> FloatArray:
+    """Return the sizes of the fourth differences of samples that are all inside."""
+    if counts.size < 5:
+        return np.zeros(0)
+    are_inside = np.lib.stride_tricks.sliding_window_view(is_inside, 5).all(axis=1)
+    return np.abs(np.diff(counts, 4)[are_inside]).astype(np.float64)
+
+
+def _repeat_share(window_shares: FloatArray, differences: FloatArray) -> float:
+    """Return the share of repeats of an axis, from windows and from differences in count steps."""
+    if not window_shares.size or not differences.size:
+        return MAX_REPEAT_SHARE
+    # sum of squares of (1, -4, 6, -4, 1) is 70; equal readings of a normal: 1/(2 sqrt(pi) s)
+    deviation = float(np.median(differences)) / 0.6745 / math.sqrt(70.0)
+    white_share = 2.0 * 0.2821 / max(deviation, 1e-3)
+    usual_share = float(np.quantile(window_shares, 0.75))
+    return float(np.clip(max(white_share, usual_share), 1.0 / WINDOW_SAMPLES, MAX_REPEAT_SHARE))
 
 
 def replace_usable(

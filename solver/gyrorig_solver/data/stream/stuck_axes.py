@@ -10,11 +10,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from gyrorig_protocol.errors import InputError
 from gyrorig_solver.data.arrays import BoolArray
 from gyrorig_solver.data.link_remedies import STUCK_AXIS
 from gyrorig_solver.data.samples import GyroSamples
 from gyrorig_solver.data.stream.count_stream import (
     AXES,
+    MIN_MOTION_STEPS,
     PIECE_ROWS,
     CheckResult,
     CountStream,
@@ -76,6 +78,28 @@ def without_clipping(samples: GyroSamples) -> GyroSamples:
         return samples
     margin = math.ceil(CLIPPING_MARGIN_S / samples.period_s)
     return replace_usable(samples, samples.usable & ~_widen(clipped, margin))
+
+
+def require_changing_axes(samples: GyroSamples) -> None:
+    """Raise an error if an axis keeps one value although another axis shows a motion.
+
+    Such an axis did not measure, and a fit to the motion would state a gain of zero. At rest, a
+    value that does not change can be right, because noise below the rounding does not show.
+
+    Raises:
+        InputError: an axis did not measure.
+    """
+    stream = CountStream(samples)
+    counts = samples.counts
+    span = counts.max(axis=0).astype(np.int64) - counts.min(axis=0)
+    is_still = span == 0
+    if is_still.any() and np.any(span > MIN_MOTION_STEPS * np.maximum(stream.count_step, 1)):
+        names = " and ".join(AXES[k] for k in np.flatnonzero(is_still))
+        raise InputError(
+            f"axis {names} of board {samples.board} keeps the same value for all {stream.size} "
+            "samples while another axis turns, so it did not measure",
+            STUCK_AXIS.for_link(samples.link),
+        )
 
 
 def _widen(mask: BoolArray, margin: int) -> BoolArray:
@@ -162,7 +186,7 @@ def _stuck_axis_finding(
         "stuck_axis", "sensor", (AXES[axis],), count, stream.size, MAX_RUN_PROBABILITY,
         "share", share, "1",
         f"axis {AXES[axis]} keeps the same count for {count} samples "
-        f"({100.0 * share:.2g} %) while the other axes change",
+        f"({100.0 * share:.3g} %) while the other axes change",
         STUCK_AXIS.for_link(stream.samples.link), times_s,
     )  # fmt: skip
 

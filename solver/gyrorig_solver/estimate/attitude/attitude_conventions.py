@@ -208,8 +208,8 @@ def check_convention(samples: GyroSamples, reference: AttitudeReference) -> str:
             "the reference attitudes do not show the motion of the gyro: the best reading of the "
             f"quaternions leaves {np.degrees(best.residual_rad_s):.2g} deg/s of "
             f"{np.degrees(judgement.motion_rad_s):.2g} deg/s",
-            "check that the attitudes are of the board, and that their times and those of the gyro "
-            f"differ by less than {MAX_LAG_S:g} s",
+            "check that the attitudes are of the board, that the unit of the times is right, and "
+            f"that their times and those of the gyro differ by less than {MAX_LAG_S:g} s",
         )
     if judgement.is_turned:
         return (

@@ -12,6 +12,7 @@ import numpy as np
 from gyrorig_protocol.errors import InputError
 from gyrorig_solver.data import FloatArray
 from gyrorig_solver.data.samples import GyroSamples
+from gyrorig_solver.data.stream.stuck_axes import CLIPPING_REMEDY
 from gyrorig_solver.estimate.attitude.attitude_conventions import check_convention
 from gyrorig_solver.estimate.attitude.attitude_matching import (
     MAX_LAG_S,
@@ -164,15 +165,27 @@ def no_common_stretch(
     begin_s = max(float(samples.time_s[0]), float(reference.time_s[0]))
     end_s = min(float(samples.time_s[-1]), float(reference.time_s[-1]))
     if end_s - begin_s < 2.0 * MAX_LAG_S:
-        return InputError(
-            f"the gyroscope's samples and the reference attitudes{where} do not overlap in time",
-            "record the board and the attitudes together for at least a few seconds",
+        overlap = (
+            f"overlap for only {end_s - begin_s:.2g} s" if end_s > begin_s else "do not overlap"
         )
+        return InputError(
+            f"the gyroscope's samples and the reference attitudes{where} {overlap} in time",
+            "record the board and the attitudes together for at least a few seconds; if you did, "
+            "correct the unit of the times (in an import map `unit` under `time`)",
+        )
+    unusable = int(np.sum(~samples.usable))
+    is_clipped = 2 * unusable > samples.usable.size
+    left_out = (
+        f", because {unusable} of {samples.usable.size} samples are near the end of the sensor's "
+        "range or repeat the one before"
+    )
     return InputError(
         f"the gyroscope's samples and the reference attitudes{where} overlap for "
         f"{end_s - begin_s:.1f} s, but have gaps: no stretch without a gap contains {MIN_BLOCKS} "
-        "attitudes",
-        "find out why samples or attitudes are missing, and record again",
+        f"attitudes{left_out if is_clipped else ''}",
+        CLIPPING_REMEDY
+        if is_clipped
+        else "find out why samples or attitudes are missing, and record again",
     )
 
 

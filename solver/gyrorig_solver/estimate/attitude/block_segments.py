@@ -7,6 +7,7 @@ from functools import cached_property
 import numpy as np
 from scipy.interpolate import CubicSpline
 
+from gyrorig_protocol.errors import InputError
 from gyrorig_solver.data import FloatArray
 from gyrorig_solver.estimate.attitude.attitude_fit import AttitudeFit
 from gyrorig_solver.model import RecordingContext, SignalState
@@ -106,6 +107,9 @@ def build_block_segments(
         fit: the fit of the base model.
         contexts: of each recording.
         readings: of each recording's accelerometer.
+
+    Raises:
+        InputError: no segment is long enough.
     """
     solver, with_lag = fit.solver, fit.solver.recordings_with_lag(fit.linearised)
     inverse = np.linalg.inv(solver.gain).T
@@ -166,6 +170,13 @@ def build_block_segments(
                     int(2.0 * fit.band_hz * block_count * intervals_per_block * step_s),
                 ),
             )
+        )
+    if not segments:
+        raise InputError(
+            f"the gyroscope and the reference attitudes have no {MIN_SEGMENT_S:g} s in common "
+            "without a gap or a clipped sample",
+            "find out why samples or attitudes are missing; if the sensor's range is too small, "
+            "use a larger full scale or turn more slowly",
         )
     return segments
 

@@ -24,6 +24,7 @@ STEP_S = 0.05  # of the mean rates that are compared
 MAX_STEPS = 1 << 20  # 14 hours
 REFINED_STEPS = 40  # on both sides of the best correlation, which an unknown bias shifts
 MIN_OVERLAP = 0.3  # of the shorter series; with less, few seconds agree by chance
+MIN_COMMON_STEPS = 100  # 5 s; a gyro that is clipped most of the time has fewer
 # A shift outside the range must explain this share of the gyro's variance. It must also explain
 # this much more than every shift inside, or leave less than this share of what that one leaves.
 # Agreement by chance at rest, and of motion that repeats, is smaller.
@@ -116,6 +117,8 @@ def _check_clock_speed(samples: GyroSamples, reference: AttitudeReference) -> No
     begin_s = gyro.begin_s - attitudes.begin_s
     lags = np.arange(1 - attitudes.valid.size, gyro.valid.size)
     lags = lags[np.abs(lags * STEP_S + begin_s) <= MAX_CHANGING_SHIFT_S]
+    if not lags.size:
+        return
     shares, shifts_s = [], []
     for rows in np.array_split(np.arange(gyro.valid.size), SPEED_PARTS):
         valid = np.zeros(gyro.valid.size)
@@ -219,7 +222,8 @@ def _regress(gyro: _MeanRates, attitudes: _MeanRates, lag: int) -> tuple[float, 
     size = min(gyro.valid.size - first, attitudes.valid.size - second)
     rows, others = slice(first, first + size), slice(second, second + size)
     has_both = (gyro.valid[rows] * attitudes.valid[others]) > 0.0
-    if has_both.sum() < MIN_OVERLAP * min(gyro.valid.sum(), attitudes.valid.sum()):
+    least = max(MIN_OVERLAP * min(gyro.valid.sum(), attitudes.valid.sum()), MIN_COMMON_STEPS)
+    if has_both.sum() < least:
         return 0.0, np.eye(3)
     measured = gyro.rate_rad_s[rows][has_both]
     design = np.column_stack([attitudes.rate_rad_s[others][has_both], np.ones(len(measured))])

@@ -12,6 +12,7 @@ from gyrorig_protocol.recording.recording import Recording, times_ns
 from gyrorig_solver.calibration.unexplained_effect import widen_by_unexplained
 from gyrorig_solver.data.metadata_numbers import positive_number
 from gyrorig_solver.data.samples import GyroSamples
+from gyrorig_solver.data.stream.stuck_axes import require_changing_axes
 from gyrorig_solver.discover import AttitudeFitSpace, criticise_fit
 from gyrorig_solver.discover.attitude.attitude_space import (
     AttitudeRecording,
@@ -196,13 +197,15 @@ def load_attitude_recordings(data: BoardData) -> list[AttitudeRecording]:
     """Return a board's recordings that have reference attitudes, ready to be explained.
 
     Raises:
-        InputError: no attitude of a recording is usable.
+        InputError: no attitude of a recording is usable, or an axis of the gyro did not measure.
     """
     loaded = [
         (recording, samples, None)
         for recording, samples in zip(data.recordings, data.unclipped_samples, strict=True)
         if has_attitudes(recording)
     ]
+    for _, samples, _ in loaded:
+        require_changing_axes(samples)
     return [
         AttitudeRecording(
             context.recording_name, samples, attitude_reference(recording, samples), context
