@@ -20,7 +20,8 @@ Verdict = Literal["good", "limited", "refused"]
 def judge_fit(fit: GyroFit) -> Trust:
     """Return the verdict on a fit.
 
-    refused: no parameter was observable, or the residual is far larger than the noise.
+    refused: no parameter was observable, the residual is far larger than the noise, or the fit
+    reports that its reference is none.
     limited: the fit reports a problem, or too many samples were lost or were outliers.
     """
     verdict: Verdict = "good"
@@ -48,9 +49,9 @@ def judge_fit(fit: GyroFit) -> Trust:
             "full scale in the rig file or in the import map"
         )
         verdict = "refused"
-    if fit.observability.rank == 0:
+    if fit.observability.rank == 0 or fit.refused_reasons:
         verdict = "refused"
-    return Trust(verdict=verdict, reasons=reasons)
+    return Trust(verdict=verdict, reasons=[*fit.refused_reasons, *reasons])
 
 
 def mirror_warnings(fit: GyroFit) -> list[str]:

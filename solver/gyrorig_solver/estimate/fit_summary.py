@@ -54,6 +54,7 @@ class FitOutcome:
     reason_texts: Mapping[str, str]  # of a gain column, the bias or the offset, if unobservable
     terms: tuple[str, ...] = BASE_TERMS
     warnings: tuple[str, ...] = ()
+    refused_reasons: tuple[str, ...] = ()
     limited_reasons: tuple[str, ...] = ()
     diagnostics: FitDiagnostics | None = None
     rest_to_rest: CrossCheck | None = None
@@ -120,6 +121,7 @@ def build_gyro_fit(outcome: FitOutcome, samples: Sequence[GyroSamples]) -> GyroF
         clock=_clock_quality(samples[0], outcome.clock_truth),
         reference=outcome.reference,
         warnings=(*outcome.warnings, *_sample_warnings(samples)),
+        refused_reasons=outcome.refused_reasons,
         limited_reasons=tuple(reasons),
         diagnostics=outcome.diagnostics,
         rest_to_rest=outcome.rest_to_rest,

@@ -147,6 +147,7 @@ class GyroFit:
     clock: ClockQuality | None = None
     reference: str = ""  # one sentence: the reference of the rates
     warnings: tuple[str, ...] = ()
+    refused_reasons: tuple[str, ...] = ()  # cause and remedy; the verdict becomes `refused`
     limited_reasons: tuple[str, ...] = ()  # cause and remedy; the verdict becomes `limited`
     diagnostics: FitDiagnostics | None = None
     rest_to_rest: CrossCheck | None = None  # on a pan-tilt unit
