@@ -5,7 +5,7 @@ from typing import Literal
 
 from gyrorig_protocol.profile import SensorProfile
 from gyrorig_solver.calibration.calibration_document import Trust
-from gyrorig_solver.data.link_remedies import LOST_SAMPLES, OUTLIERS, WRONG_AXES
+from gyrorig_solver.data.link_remedies import LOST_SAMPLES, OUTLIERS, WRONG_AXES, WRONG_SCALE
 from gyrorig_solver.data.stream.gain_checks import check_gain
 from gyrorig_solver.estimate import GyroFit
 from gyrorig_solver.model import DEG_PER_RAD, plural
@@ -82,8 +82,8 @@ def profile_warnings(
             if math.isfinite(scale) and abs(abs(scale) - 1.0) > profile.scale_tolerance:
                 warnings.append(
                     f"scale.{axis} is {scale:.4f}, outside the {profile.sensor}'s data-sheet range "
-                    f"1 ± {profile.scale_tolerance:g}. Check the full scale that the board "
-                    "reports"
+                    f"1 ± {profile.scale_tolerance:g}. "
+                    f"{_capitalised(WRONG_SCALE.for_link(fit.link))}"
                 )
     zero_rate_dps = profile.zero_rate_limit_dps(full_scale_dps)
     if zero_rate_dps is not None:

@@ -77,13 +77,14 @@ def _compare(
         )
     if content.get("schema") == SCHEMA:
         other, _ = read_calibration(reference)
-        return compare_calibrations(document, other), "other", _board_remarks(document, other)
+        remarks = [*_board_remarks(document, other), *_refusal_remarks(document, other)]
+        return compare_calibrations(document, other), "other", remarks
     if (kind := describe_schema(content.get("schema"))) is not None:
         raise InputError(
             f"the file {reference} is {kind}, but true values or a calibration are expected here",
             "give the truth file that `gyrorigd record --truth` wrote, or a second calibration",
         )
-    return compare_with_truth(document, content), "truth", []
+    return compare_with_truth(document, content), "truth", _refusal_remarks(document)
 
 
 def _board_remarks(document: CalibrationDocument, other: CalibrationDocument) -> list[str]:
@@ -92,6 +93,16 @@ def _board_remarks(document: CalibrationDocument, other: CalibrationDocument) ->
     if document.board.id == other.board.id and not document.board.has_other_uid(other.board.uid):
         return []
     return [f"the calibrations are of different boards, {boards[0]} and {boards[1]}"]
+
+
+def _refusal_remarks(*documents: CalibrationDocument) -> list[str]:
+    """Return a remark for each calibration whose values have no meaning."""
+    return [
+        f"the {name} calibration, version {document.version}, is refused: "
+        f"{'. '.join(document.trust.reasons[:1]) or 'see its report'}"
+        for name, document in zip(("first", "second"), documents, strict=False)
+        if document.trust.verdict == "refused"
+    ]
 
 
 def _difference_text(sigmas: float | None) -> str:
@@ -107,12 +118,13 @@ def comparison_table(rows: Sequence[ParameterComparison], column: str = "truth")
     heading = ("", "found", column, "u (k = 1)", "unit", "of total u", "difference")
     cells: list[tuple[str, ...]] = [heading]
     for row in rows:
+        unit = "" if row.unit == "1" else row.unit
         if row.estimate is None:
             cells.append((row.name, "not determined", "", "", "", "", ""))
             continue
         if row.truth is None:
             value_text, _ = format_quantity(row.estimate, row.std)
-            cells.append((row.name, value_text, "not determined", "", "", "", ""))
+            cells.append((row.name, value_text, "not determined", "", unit, "", ""))
             continue
         value_text, std_text = format_quantity(row.estimate, row.std)
         decimals = len(value_text.partition(".")[2])
@@ -122,7 +134,7 @@ def comparison_table(rows: Sequence[ParameterComparison], column: str = "truth")
                 value_text,
                 f"{row.truth:+.{decimals}f}",
                 std_text,
-                "" if row.unit == "1" else row.unit,
+                unit,
                 "" if row.total_sigmas is None else f"{row.total_sigmas:+.2f}",
                 _difference_text(row.sigmas),
             )

@@ -98,6 +98,10 @@ WRONG_FULL_SCALE = LinkRemedy(
         "again; all rates are wrong by this factor until then"
     ),
 )
+WRONG_SCALE = LinkRemedy(
+    rig="check the full scale that the board reports",
+    file="check the unit of the rates and of the times, and the full scale",
+)
 WRONG_AXES = LinkRemedy(
     rig="correct the order and the signs of the axes in the driver or in the board's columns",
     file=(

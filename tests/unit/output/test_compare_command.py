@@ -194,3 +194,21 @@ def test_a_truth_with_another_shape_is_one_line(
         capsys.readouterr()
         assert cli.run(["compare", str(GOLDEN / "good.yaml"), str(truth)]) == status
     assert "does not contain the true values" in capsys.readouterr().err
+
+
+def test_a_refused_calibration_is_named(session: Path, tmp_path: Path, capsys: Captured) -> None:
+    """Before: its values were compared without a word about its verdict."""
+    refused = tmp_path / "refused.yaml"
+    document = yaml.safe_load(Path(calibration(session)).read_text(encoding="utf-8"))
+    document["trust"] = {"verdict": "refused", "reasons": ["the reference is no reference"]}
+    document["parameters"]["scale"] = {
+        **document["parameters"]["scale"], "value": [None] * 3, "std": [None] * 3,
+    }  # fmt: skip
+    refused.write_text(yaml.safe_dump(document), encoding="utf-8")
+    capsys.readouterr()
+    assert cli.run(["compare", calibration(session), str(refused)]) == 4
+    out = capsys.readouterr().out
+    remark = "the second calibration, version 1, is refused: the reference is no reference"
+    assert f"  remark: {remark}" in out
+    cli.run(["compare", str(refused), str(session / "truth.yaml")])
+    assert "  remark: the first calibration, version 1, is refused" in capsys.readouterr().out
