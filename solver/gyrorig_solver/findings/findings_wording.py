@@ -181,7 +181,7 @@ def _amplitude(cause: CauseEntry, place: str) -> SizeEntry | None:
 
 def parameter_bias_sigma(document: FindingsDocument, cause: CauseEntry) -> float | None:
     """Return by how many standard uncertainties ignoring a cause biases the worst parameter."""
-    if _is_only_cause(document):
+    if _is_only_cause(document, cause):
         return max(change.sigma for change in document.effect_on_calibration)
     return cause.harm_sigma
 
@@ -192,13 +192,17 @@ def parameter_changes(document: FindingsDocument, cause: CauseEntry) -> list[Cha
     For the only cause of a document, these are the differences of the two fits, with and without
     it. The changes by one of several causes are taken to first order.
     """
-    whole_fit = _is_only_cause(document)
+    whole_fit = _is_only_cause(document, cause)
     return document.effect_on_calibration if whole_fit else cause.effect_on_calibration
 
 
-def _is_only_cause(document: FindingsDocument) -> bool:
-    """Return whether the changes of the whole fit are those by a single cause."""
-    return len(document.causes) == 1 and bool(document.effect_on_calibration)
+def _is_only_cause(document: FindingsDocument, cause: CauseEntry) -> bool:
+    """Return whether the changes of the whole fit are those by a cause.
+
+    A cause that the samples or the gain show is no term of the fit, so it has no changes.
+    """
+    is_in_fit = cause.harm_sigma is not None
+    return is_in_fit and len(document.causes) == 1 and bool(document.effect_on_calibration)
 
 
 def p_value_text(p_value: float) -> str:

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.unit.findings.conftest import CHANGES
 
 from gyrorig_protocol.errors import InputError
 from gyrorig_protocol.identity import BoardId
@@ -26,8 +27,10 @@ from gyrorig_solver.findings import (
 from gyrorig_solver.findings.findings_builder import FindingsOrigin, RawChecks
 from gyrorig_solver.findings.findings_document import parse_findings
 from gyrorig_solver.findings.findings_wording import cause_remedy, cause_title
+from gyrorig_solver.model import find_term
 from gyrorig_solver.model.catalogue import catalogue
 from gyrorig_solver.pipeline.criticism_verdict import judge_findings
+from gyrorig_solver.report.findings_view import findings_view
 
 
 def test_it_reads_back_as_it_was_written(
@@ -226,3 +229,31 @@ def test_earlier_findings_are_kept_under_a_number(tmp_path: Path) -> None:
     assert (path.parent / "findings-0002.yaml").read_text() == "second"
     assert (path.parent / "report-0001.html").read_text() == "<first>"
     assert (path.parent / "figures-0002" / "a.svg").read_text() == "<svg second>"
+
+
+def test_a_cause_outside_the_fit_has_no_effect_of_zero(
+    findings: CauseFindings, origin: FindingsOrigin
+) -> None:
+    """Before: "without this cause in the fit, a parameter is wrong by up to 0 ..."."""
+    unchanged = tuple(replace(change, after=change.before) for change in CHANGES)
+    without = replace(findings, causes=(), unexplained=None, changes=unchanged)
+    flipped = RawChecks("a.mcap", check_gain(np.diag([1.0, 1.0, -1.0])))
+    document = build_findings_document(without, [flipped], origin)
+    assert [cause.cause for cause in document.causes] == ["sign_flip"]
+    assert "without this cause in the fit" not in findings_summary(document)
+    view = findings_view(document, {})
+    assert view["summaries"][0]["effect"].startswith("None, because the calibration is valid")
+
+
+def test_remedies_fit_the_link_of_the_recordings(
+    findings: CauseFindings, origin: FindingsOrigin
+) -> None:
+    step = find_term("bias_step")
+    named = replace(findings.causes[0], term=step)
+    for link, words in (("serial", "check the board's supply"), ("file", "solve the data before")):
+        of_link = replace(origin, link=link)
+        document = build_findings_document(replace(findings, causes=(named,)), [], of_link)
+        assert document.causes[0].remedy.startswith(words)
+        good = Trust(verdict="good", reasons=[])
+        (reason,) = judge_findings(good, document, [], link).reasons
+        assert ("fix the rig" in reason) == (link == "serial")
