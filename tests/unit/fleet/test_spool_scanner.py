@@ -159,6 +159,13 @@ def test_a_larger_forgery_in_the_same_folder_does_not_displace(tmp_path: Path) -
     assert len(rejections(tmp_path)) == 2
 
 
+def test_imports_of_the_same_name_are_different_sessions(tmp_path: Path) -> None:
+    """Before, two imported logs of the same name rejected each other."""
+    write(tmp_path / "monday.mcap", "log", events=2, anchor=0)
+    write(tmp_path / "friday.mcap", "log", events=9, anchor=0)
+    assert rejections(tmp_path) == {"friday.mcap": "", "monday.mcap": ""}
+
+
 def test_a_forgery_in_another_folder_changes_nothing(tmp_path: Path) -> None:
     for lab in ("lab1", "lab2"):
         (tmp_path / lab).mkdir()

@@ -43,6 +43,11 @@ class SpooledRecording:
     change_tag: str = ""  # differs when the file has changed
     read_error: str = ""  # why the storage did not deliver it
 
+    @property
+    def has_known_start(self) -> bool:
+        """Whether the session has the time of day of its start; an import has only its name."""
+        return not self.session.endswith(', "0"]')
+
 
 @dataclass(frozen=True, slots=True)
 class RecordedSession:
@@ -140,7 +145,8 @@ def group_into_sessions(
     person, changes nothing. Two recordings with the same bytes count once. One whose head cannot be
     read is a separate session, so that it is rejected with its reason. If two recordings in one
     folder claim to be the same part, the shorter one is a copy if the other one begins with its
-    bytes. Otherwise nobody knows which one is right, and the session is rejected.
+    bytes. Otherwise nobody knows which one is right, and the session is rejected. Imports of the
+    same name are different sessions, because an import has one part and no time of its start.
 
     Args:
         recordings: of one spool.
@@ -162,6 +168,8 @@ def group_into_sessions(
                 # A partial copy next to the complete part would count its samples twice.
                 reason = f"{recording.path.name} is a shorter copy of {whole.path.name}"
                 remedy = "remove the shorter copy from the spool"
+            elif not recording.has_known_start:
+                reason = remedy = ""  # files of the same name, from different folders
             else:
                 reason = (
                     f"{recording.path.name} and {whole.path.name} differ, but both claim to be the "
