@@ -11,6 +11,7 @@ from gyrorig_protocol.recording.mcap.losses import LossCause
 from gyrorig_solver.calibration.calibration_wording import collapse_groups
 from gyrorig_solver.check.recording_health import BoardHealth, RecordingHealth
 from gyrorig_solver.data.link_remedies import CLOCK_STEP, LOST_SAMPLES, REPEATS, RESTART
+from gyrorig_solver.data.stream.stuck_axes import CLIPPING_REMEDY
 
 MAX_LOST_SHARE = 0.02  # above this share a calibration is limited
 
@@ -91,11 +92,9 @@ def _board_messages(board: BoardHealth) -> Iterator[str]:
     yield from (
         f"of {name}, {finding.seen_as}. {sentence(finding.remedy)}" for finding in board.still_axes
     )
-    if board.saturated > 0 and not any(f.cause == "saturation" for f in board.still_axes):
-        yield (
-            f"{name} has {board.saturated} saturated samples. "
-            "Use a larger full scale, or turn more slowly."
-        )
+    # A saturated sample has the same remedy as the clipped axis that contains it.
+    if board.saturated > 0 and all(axis.remedy != CLIPPING_REMEDY for axis in board.still_axes):
+        yield f"{name} has {board.saturated} saturated samples. {sentence(CLIPPING_REMEDY)}"
     if board.repeated > MAX_LOST_SHARE * board.samples:
         yield f"{name} repeats {board.repeated} samples. {sentence(REPEATS.for_link(board.link))}"
     if board.restarts:
