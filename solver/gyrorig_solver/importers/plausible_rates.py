@@ -40,12 +40,12 @@ def rate_warnings(gyro: GyroStream, poses: PoseStream | None, name: str) -> list
         )
     # A bias, or a column that does not change, is no motion.
     ratio = _ratio_to_poses(np.linalg.norm(values - np.median(values, axis=0), axis=1), poses)
-    for factor, units in ((DEGREES, "deg/s and rad/s is stated"),
-                          (1.0 / DEGREES, "rad/s and deg/s is stated")):  # fmt: skip
+    for factor, units in ((DEGREES, "deg/s although rad/s is stated"),
+                          (1.0 / DEGREES, "rad/s although deg/s is stated")):  # fmt: skip
         if ratio is not None and factor / RATIO_TOLERANCE < ratio < factor * RATIO_TOLERANCE:
             warnings.append(
-                f"{name}: the gyro turns {ratio:.3g} times as fast as the reference attitudes, as "
-                f"if the source writes {units}; check the units of the rates and of the times"
+                f"{name}: the gyro turns {ratio:.3g} times as fast as the reference attitudes; the "
+                f"source probably writes {units}"
             )
     return warnings
 

@@ -131,4 +131,4 @@ def test_a_constant_gyro_is_not_a_matter_of_units(tmp_path: Path) -> None:
 def test_rates_in_a_wrong_unit_are_named(tmp_path: Path) -> None:
     data = columns()
     _, remarks = record(tmp_path, data | {"g": np.radians(data["g"])})
-    assert any("as if the source writes rad/s and deg/s is stated" in text for text in remarks)
+    assert any("probably writes rad/s although deg/s is stated" in text for text in remarks)
