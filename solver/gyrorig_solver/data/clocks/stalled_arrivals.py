@@ -10,7 +10,6 @@ What to use when: `times_without_stalls` for arrival times that are used as samp
 from itertools import pairwise
 
 import numpy as np
-from scipy.ndimage import minimum_filter1d
 
 from gyrorig_solver.data.arrays import FloatArray, IntArray
 from gyrorig_solver.data.clocks.clock_faults import CounterArray
@@ -50,6 +49,8 @@ def times_without_stalls(sequence: CounterArray, host_s: FloatArray) -> FloatArr
 
 
 def _without_stalls(number: IntArray, host_s: FloatArray, rate_hz: float) -> FloatArray:
+    from scipy.ndimage import minimum_filter1d  # noqa: PLC0415 - slow to load
+
     lag_s = host_s - number / rate_hz
     following = max(1, min(round(LONGEST_STALL_S * rate_hz), host_s.size))
     earliest_s = minimum_filter1d(lag_s, following, mode="nearest", origin=-(following // 2))
