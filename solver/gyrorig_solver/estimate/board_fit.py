@@ -163,9 +163,12 @@ class BoardFit:
         self._fit_noise(is_next_step=True)
 
     def renew_derivatives(self) -> bool:
-        """Discard the derivatives; return False if they belong to the current values."""
+        """Discard the derivatives; return False if better ones are not possible.
+
+        If they belong to the current values, the new ones are on a finer grid.
+        """
         if all(session.has_new_derivatives for session in self.sessions):
-            return False
+            return any([session.refine_derivatives() for session in self.sessions])
         for session in self.sessions:
             session.discard_derivatives()
         return True

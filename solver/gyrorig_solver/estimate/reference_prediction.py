@@ -103,9 +103,22 @@ def _stage_rate(series: Series, reference: ReferenceMotion, edges_s: FloatArray)
 
 
 def predict_derivatives(
-    series: Series, blocks: slice, reference: ReferenceMotion, lag_s: float
+    series: Series,
+    blocks: slice,
+    reference: ReferenceMotion,
+    lag_s: float,
+    on_fine_grid: bool = False,
 ) -> PartDerivatives:
-    """Return the derivatives of a part's block means by the reference's unknowns."""
+    """Return the derivatives of a part's block means by the reference's unknowns.
+
+    Args:
+        series: times of the samples.
+        blocks: of the part.
+        reference: the stage's motion.
+        lag_s: of the samples.
+        on_fine_grid: use the grid of `predict_rate` if a low-pass acts. A coarser one is faster,
+            and its errors matter only next to a large misfit.
+    """
     low_pass = low_pass_of(series)
     block_hz = 1.0 / (series.period_s * series.samples_per_block)
     # Above the series' rate, a low-pass is only a delay.
@@ -115,7 +128,7 @@ def predict_derivatives(
     intervals_per_block = (
         1
         if low_pass is None and (series.samples_per_block > 1 or series.has_means)
-        else _intervals_per_block(series, block_hz)
+        else _intervals_per_block(series, block_hz, on_fine_grid)
     )
     edges = series.block_edges_s(blocks, intervals_per_block) - lag_s - delay_s
     evaluated = reference.evaluate(edges, derivatives=True)
@@ -170,8 +183,10 @@ def instants_per_block(series: Series) -> int:
     return max(1, int(np.ceil(4.0 * (series.filter_bandwidth_hz or 0.0) / block_hz)))
 
 
-def _intervals_per_block(series: Series, block_hz: float) -> int:
+def _intervals_per_block(series: Series, block_hz: float, on_fine_grid: bool) -> int:
     """Return the intervals per block; odd if a sample is an instant and not a mean."""
+    if on_fine_grid:
+        return series.samples_per_block * series.intervals_per_sample
     min_rate_hz = max(
         MIN_COARSE_GRID_HZ, COARSE_PER_BANDWIDTH * (series.filter_bandwidth_hz or 0.0)
     )

@@ -84,6 +84,7 @@ class SessionFit:
         self._used_before: list[BoolArray] = []  # before the last prediction
         self.keeps_rejected = False  # whether outliers stay outliers
         self.has_new_derivatives = True  # whether the derivatives belong to the current values
+        self._has_fine_derivatives = False
         self.equation_noise: NoiseModel | None = None  # of the last normal equations
         self._weights = MotionWeights()
 
@@ -315,6 +316,14 @@ class SessionFit:
         self._models.clear()
         self.has_new_derivatives = True
 
+    def refine_derivatives(self) -> bool:
+        """Use the fine grid for derivatives from now on; return False if it is used already."""
+        if self._has_fine_derivatives:
+            return False
+        self._has_fine_derivatives = True
+        self.discard_derivatives()
+        return True
+
     def normal_equations(self, gain: FloatArray, noise: NoiseModel) -> NormalEquations:
         """Return the normal equations of the recording."""
         local_count, _ = self.reference.information.size
@@ -400,7 +409,11 @@ class SessionFit:
             self.signal_state(series_state.series, blocks, gain, exact=True) if is_fitted else None
         )
         columns = predict_derivatives(
-            series_state.series, blocks, executed_motion(self.reference), self.lag_s
+            series_state.series,
+            blocks,
+            executed_motion(self.reference),
+            self.lag_s,
+            self._has_fine_derivatives,
         )
         model = build_part_model(series_state, blocks, columns, self.fitted_terms, state, gain)
         model = replace(model, relative_std=relative_std)

@@ -19,7 +19,11 @@ from gyrorig_protocol.recording.recording_names import distinct_names
 from gyrorig_solver.data.link_remedies import STUCK_SENSOR
 from gyrorig_solver.data.samples import GyroSamples, load_samples
 from gyrorig_solver.data.stream.exact_repeats import without_repeats
-from gyrorig_solver.data.stream.stuck_axes import CLIPPING_REMEDY, without_clipping
+from gyrorig_solver.data.stream.stuck_axes import (
+    CLIPPING_REMEDY,
+    require_changing_axes,
+    without_clipping,
+)
 from gyrorig_solver.pipeline import references
 from gyrorig_solver.pipeline.one_board import check_same_board
 from gyrorig_solver.pipeline.rest_check import check_rests
@@ -92,7 +96,7 @@ class BoardData:
         """The samples of each recording; clipped ones are not usable.
 
         Raises:
-            InputError: no sample of a recording is usable.
+            InputError: no sample of a recording is usable, or an axis did not measure.
             UsageError: the board's settings differ between recordings, or a recording is given
                 twice.
         """
@@ -106,7 +110,7 @@ class BoardData:
         Exact repeats and clipped samples are marked as not usable.
 
         Raises:
-            InputError: no sample of a recording is usable.
+            InputError: no sample of a recording is usable, or an axis did not measure.
             UsageError: a reference does not give the rate at each time, the board's settings differ
                 between recordings, or a recording is given twice.
         """
@@ -171,11 +175,13 @@ def load_changing_samples(recording: Recording, board: str) -> GyroSamples:
 
 
 def _require_usable(samples: GyroSamples) -> GyroSamples:
-    """Return samples if one of them is usable.
+    """Return samples if one of them is usable and each axis measured.
 
     Raises:
-        InputError: all samples are clipped, saturated or repeated.
+        InputError: all samples are clipped, saturated or repeated, or an axis keeps one value while
+            another axis turns.
     """
+    require_changing_axes(samples)
     if samples.usable.any():
         return samples
     limit_dps = math.degrees(float(np.abs(samples.counts).max()) * samples.gyro.scale)

@@ -12,7 +12,6 @@ from gyrorig_protocol.recording.recording import Recording, times_ns
 from gyrorig_solver.calibration.unexplained_effect import widen_by_unexplained
 from gyrorig_solver.data.metadata_numbers import positive_number
 from gyrorig_solver.data.samples import GyroSamples
-from gyrorig_solver.data.stream.stuck_axes import require_changing_axes
 from gyrorig_solver.discover import AttitudeFitSpace, criticise_fit
 from gyrorig_solver.discover.attitude.attitude_space import (
     AttitudeRecording,
@@ -210,8 +209,6 @@ def load_attitude_recordings(data: BoardData) -> list[AttitudeRecording]:
         for recording, samples in zip(data.recordings, data.unclipped_samples, strict=True)
         if has_attitudes(recording)
     ]
-    for _, samples, _ in loaded:
-        require_changing_axes(samples)
     return [
         AttitudeRecording(
             context.recording_name, samples, attitude_reference(recording, samples), context
