@@ -21,6 +21,7 @@ from gyrorig_solver.data.arrays import BoolArray, FloatArray, IntArray
 from gyrorig_solver.data.clocks import ClockMap, map_clock
 from gyrorig_solver.data.clocks.clock_faults import CounterArray
 from gyrorig_solver.data.clocks.counted_samples import has_shared_times, map_sample_counter
+from gyrorig_solver.data.clocks.even_times import evenly_spaced
 from gyrorig_solver.data.clocks.latency_bounds import (
     LatencyBounds,
     NearestSamples,
@@ -270,7 +271,11 @@ def _map_board_clock(
     tick_hz = positive_number(metadata, "tick_hz")
     is_imported = metadata.get("link") == FILE_LINK
     if tick_hz is None or (is_imported and not np.any(np.diff(ticks))):
-        times_s = host_s if is_imported else times_without_stalls(sequence, host_s)
+        times_s = (
+            host_s
+            if is_imported
+            else evenly_spaced(sequence, times_without_stalls(sequence, host_s))
+        )
         ticks, tick_hz = np.rint(times_s * 1e9).astype(np.int64), 1e9
     bits = int(positive_number(metadata, "counter_bits") or 64)
     return map_clock(

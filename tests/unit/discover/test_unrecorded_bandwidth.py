@@ -15,13 +15,26 @@ from gyrorig_protocol.recording.recording import Recording
 
 CONFIG = Path(__file__).resolve().parents[3] / "config" / "rig.yaml"
 FAR = 4.0  # standard deviations: one in 16 000
+SIGNALS_RIG = """
+schema: gyrorig/rig/1
+rig: can-signals
+ptu: {port: emulated, baud: 9600}
+buses: [{id: can0, port: emulated}]
+boards:
+  - id: MTLT-1
+    bus: can0
+    format: signals
+    signals: {preset: j1939, source_address: 128}
+    facts: {uid: MTLT-1-by-hand, odr_hz: 100.0}
+emulator: {seed: 1}
+"""
 
 
 def without_bandwidth(recording: Recording, board: str) -> Recording:
     """Return a recording whose board states no bandwidth."""
     key = f"gyrorig.board.{board}"
     board_metadata = dict(recording.metadata[key])
-    del board_metadata["bandwidth_hz"]
+    board_metadata.pop("bandwidth_hz", None)
     return replace(recording, metadata={**recording.metadata, key: board_metadata})
 
 
@@ -57,3 +70,19 @@ def test_only_the_low_pass_is_named(hidden: Callable[..., Any]) -> None:
 @pytest.mark.long
 def test_only_the_low_pass_is_named_at_200_hz(hidden: Callable[..., Any], rig_200_hz: Path) -> None:
     check_only_the_low_pass(hidden(seed=11, config=rig_200_hz), 1.0 / 12.5)
+
+
+@pytest.fixture(scope="module")
+def rig_without_timestamps(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A rig whose board is an IMU of the preset j1939, which sends no timestamps."""
+    path = tmp_path_factory.mktemp("can") / "rig.yaml"
+    path.write_text(SIGNALS_RIG, encoding="utf-8")
+    return path
+
+
+@pytest.mark.long
+def test_only_the_low_pass_is_named_without_timestamps(
+    hidden: Callable[..., Any], rig_without_timestamps: Path
+) -> None:
+    """Before, the jitter of the arrivals hid the shape of the edges, and s_curve was named."""
+    check_only_the_low_pass(hidden(seed=1, config=rig_without_timestamps), 1.0 / 25.0)

@@ -1,0 +1,98 @@
+"""Sample times of a board that sends no timestamps, without the jitter of the arrivals.
+
+The time of such a sample is its arrival, and the jitter of the host is an error of each time. In an
+acceleration, it looks like noise of the rate, and it hides the shape of the edges of a move. The
+sensor takes its samples evenly, and the counter of the samples shows which sample is which. A
+sample that was lost without a gap of the counter delays all later ones by whole periods. Such steps
+are much larger than the smallest latency of many samples, so that the arrivals show them.
+
+What to use when: `evenly_spaced` for arrival times without stalls.
+"""
+
+from itertools import pairwise
+
+import numpy as np
+from scipy.ndimage import minimum_filter1d
+
+from gyrorig_solver.data.arrays import FloatArray, IntArray
+from gyrorig_solver.data.clocks.clock_faults import CounterArray
+from gyrorig_solver.data.clocks.counted_samples import sample_rate_hz
+from gyrorig_solver.data.clocks.tick_unwrapping import counter_modulus
+
+LONGEST_STEP_S = 2.0  # of the times against the counter; a longer one is a restart or a pause
+WINDOW_SAMPLES = 64  # the smallest latency of so many samples is far below a period
+MIN_SAMPLES = 8  # before and after a step
+STEP_SHARE = 0.5  # of a period
+MAX_PASSES = 16  # each finds one step of several within a window
+
+
+def evenly_spaced(sequence: CounterArray, time_s: FloatArray) -> FloatArray:
+    """Return evenly spaced times of the samples of a board without timestamps, shape (n,).
+
+    Times that are not even by the counter of the samples are returned as they are.
+
+    Args:
+        sequence: the sample counter, shape (n,).
+        time_s: arrival times without stalls of the host, shape (n,), not decreasing.
+    """
+    modulus = counter_modulus(sequence)
+    rate_hz = sample_rate_hz(sequence, time_s, modulus)
+    if rate_hz <= 0.0:
+        return time_s  # nothing counts the samples
+    counts: IntArray = sequence.astype(np.int64)
+    steps: IntArray = np.diff(counts) % modulus
+    number: IntArray = np.concatenate([[0], np.cumsum(steps)])
+    is_break = np.abs(steps / rate_hz - np.diff(time_s)) > LONGEST_STEP_S
+    edges = [0, *(1 + np.flatnonzero(is_break)).tolist(), time_s.size]
+    pieces = [
+        _even_piece(number[first:last], time_s[first:last], 1.0 / rate_hz)
+        for first, last in pairwise(edges)
+    ]
+    return np.concatenate(pieces)
+
+
+def _even_piece(number: IntArray, time_s: FloatArray, period_s: float) -> FloatArray:
+    """Return the even times of samples without a restart between them."""
+    if time_s.size < 2 * WINDOW_SAMPLES:
+        return time_s
+    lag_s = time_s - number * period_s
+    level_s = _lost_time_s(lag_s, period_s)
+    if level_s is None:
+        return time_s
+    centred = number - number.mean()
+    line = np.polyfit(centred, lag_s - level_s, 1)
+    return np.asarray(number * period_s + level_s + np.polyval(line, centred), np.float64)
+
+
+def _lost_time_s(lag_s: FloatArray, period_s: float) -> FloatArray | None:
+    """Return how much the uncounted samples before each sample delay it, shape (n,).
+
+    None if the latency also decreases by a large part of a period: then the samples are not even.
+    """
+    level_s = np.zeros(lag_s.size)
+    for _ in range(MAX_PASSES):
+        rise_s = _rise_s(lag_s - level_s)
+        if (rise_s < -STEP_SHARE * period_s).any():
+            return None
+        is_step = rise_s > STEP_SHARE * period_s
+        if not is_step.any():
+            return level_s
+        first = np.flatnonzero(is_step & ~np.concatenate([[False], is_step[:-1]]))
+        added_s = np.zeros(lag_s.size)
+        added_s[first] = rise_s[first]
+        level_s += np.cumsum(added_s)
+    return None
+
+
+def _rise_s(lag_s: FloatArray) -> FloatArray:
+    """Return the smallest lag from each sample on, minus the smallest one before it, (n,).
+
+    It is zero near the ends, where a window has few samples.
+    """
+    half = WINDOW_SAMPLES // 2
+    ahead_s = minimum_filter1d(lag_s, WINDOW_SAMPLES, mode="nearest", origin=-half)
+    behind_s = minimum_filter1d(lag_s, WINDOW_SAMPLES, mode="nearest", origin=half - 1)
+    rise_s = np.zeros(lag_s.size)
+    inner = slice(MIN_SAMPLES, 1 - MIN_SAMPLES)
+    rise_s[inner] = ahead_s[inner] - behind_s[MIN_SAMPLES - 1 : -MIN_SAMPLES]
+    return rise_s
