@@ -147,7 +147,10 @@ class EmulatedRig:
             for bus in settings.buses
         }
         prompt_ports = (PTU_PORT,) if settings.prompt_unit else ()
-        self.latency = HostLatency(self.truth.latency, origin_ns, latency_rng, prompt_ports)
+        bus_ports = tuple(map(bus_port, self.buses))
+        self.latency = HostLatency(
+            self.truth.latency, origin_ns, latency_rng, prompt_ports, bus_ports
+        )
 
     @property
     def devices(self) -> dict[str, EmulatedDevice]:

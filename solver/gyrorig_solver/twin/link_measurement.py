@@ -31,6 +31,8 @@ MIN_PINGS = 50  # with fewer exchanges, none has a latency near the floor
 STALL_FACTOR = 15.0  # times the mean jitter: an exponential exceeds it once in 3e6 samples
 QUEUE_SHARE = 0.02  # of the jitter, from frames that wait for other frames on the line
 USUAL_FLOORS_S = 110e-6  # of writing and reading together, if nothing determines them
+# Times the median excess: on a bus of 500 kbit/s or more with few boards, few frames wait longer.
+LONG_MEDIANS = 3.0
 MIN_STALLS = 8  # fewer do not determine the shortest and the longest stall
 USUAL_STALLS_S = (5e-3, 0.2)  # shortest and longest stall of a busy computer
 USUAL_STALLS_STD = 0.25  # relative, of the longest stall
@@ -104,7 +106,9 @@ def measure_latency(boards: Sequence[GyroSamples]) -> Latency | None:
         if mean_s <= 0.0:
             continue
         is_late = excess_s > STALL_FACTOR * mean_s
-        excesses.append(excess_s[~is_late])
+        usual_s = excess_s[~is_late]
+        is_on_bus = samples.metadata.get("link") == "can"
+        excesses.append(_without_short_waits(usual_s) if is_on_bus else usual_s)
         spans[samples.origin_ns] = float(np.ptp(samples.time_s))
         origin_s = samples.origin_ns * 1e-9  # each board of a recording has a separate origin
         stalls += [
@@ -174,6 +178,16 @@ def _excess_s(samples: GyroSamples) -> FloatArray:
     bounds = samples.latency_bounds
     floor_s = 0.0 if bounds is None else bounds.midpoint_at(samples.time_s)
     return np.asarray(np.maximum(latency_s - floor_s, 0.0), dtype=np.float64)
+
+
+def _without_short_waits(excess_s: FloatArray) -> FloatArray:
+    """Return the excess above a limit, of the samples that exceed it.
+
+    An exponential has no memory: above any limit, the mean excess is the same. Above the waits of a
+    frame for other frames on the bus, it does not contain them.
+    """
+    limit_s = LONG_MEDIANS * float(np.median(excess_s))
+    return excess_s[excess_s > limit_s] - limit_s
 
 
 def _find_stalls(samples: GyroSamples, excess_s: FloatArray, is_late: BoolArray) -> list[Stall]:

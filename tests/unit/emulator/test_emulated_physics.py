@@ -196,6 +196,17 @@ def test_arrivals_have_a_floor_an_exponential_and_keep_order() -> None:
     assert (late - 60_000).mean() == pytest.approx(300_000, rel=0.03)
 
 
+def test_each_frame_of_a_bus_has_the_latency_of_a_single_one() -> None:
+    """Before, a frame waited for the one before it, and drew another latency in addition."""
+    truth = LatencyTruth(stall_interval_s=0.0)
+    latency = HostLatency(truth, 0, np.random.default_rng(4), (), ("can",))
+    sent = (np.arange(20_000)[:, None] * 10_000_000 + np.arange(3) * 123_000).ravel()
+    arrived = np.array([latency.arrival_ns("can", int(t)) for t in sent])
+    assert (np.diff(arrived) >= 0).all()
+    late = (arrived - sent - 60_000).reshape(-1, 3)
+    assert late.mean(axis=0) == pytest.approx(np.full(3, 300_000), rel=0.03)
+
+
 def test_stalls_hold_everything_and_let_it_go_at_once() -> None:
     truth = LatencyTruth(jitter_s=1e-9, stall_interval_s=2.0)
     latency = HostLatency(truth, 0, np.random.default_rng(8))

@@ -3,6 +3,11 @@
 Arrival = line time + floor + exponential jitter. Sometimes the host stalls, all bytes wait and then
 arrive together. The order is kept on each port. Stalls are a Poisson process, one in 20 s, uniform
 from 5 to 200 ms.
+
+A frame of a bus that is ready while the one before it still waits arrives together with it: one
+interrupt or one USB transfer delivers both. An exponential has no memory, so the latency of each
+frame is the same exponential, however many frames precede it. On a serial line, few frames are so
+close, and each one draws its own jitter.
 """
 
 from dataclasses import dataclass
@@ -34,6 +39,7 @@ class HostLatency:
         origin_ns: int,
         rng: np.random.Generator,
         prompt_ports: tuple[str, ...] = (),
+        bus_ports: tuple[str, ...] = (),
     ) -> None:
         """Draw from `rng`.
 
@@ -42,9 +48,10 @@ class HostLatency:
             origin_ns: there is no stall before.
             rng: source of the random numbers.
             prompt_ports: ports whose bytes no stall delays.
+            bus_ports: ports whose frames arrive together if one waits for the host.
         """
         self._truth = truth
-        self._prompt_ports = prompt_ports
+        self._prompt_ports, self._bus_ports = prompt_ports, bus_ports
         self._jitter_rng, self._stall_rng, self._write_rng = rng.spawn(3)
         self._jitter: list[float] = []
         self._write_jitter: list[float] = []
@@ -56,12 +63,15 @@ class HostLatency:
 
         Calls must be nearly in order of time, over all ports together.
         """
+        last_ns = self._last_ns.get(port, 0)
+        if port in self._bus_ports and line_ns + int(self._truth.floor_s * 1e9) <= last_ns:
+            return last_ns
         if not self._jitter:
             self._jitter = self._jitter_rng.exponential(self._truth.jitter_s, _DRAW_BATCH).tolist()
         due = line_ns + int((self._truth.floor_s + self._jitter.pop()) * 1e9)
         if port not in self._prompt_ports:
             due = self._after_stall(due)
-        due = max(due, self._last_ns.get(port, 0))
+        due = max(due, last_ns)
         self._last_ns[port] = due
         return due
 
