@@ -168,7 +168,8 @@ class BoardFit:
         If they belong to the current values, the new ones are on a finer grid.
         """
         if all(session.has_new_derivatives for session in self.sessions):
-            return any([session.refine_derivatives() for session in self.sessions])
+            refined = [session.refine_derivatives() for session in self.sessions]
+            return any(refined)
         for session in self.sessions:
             session.discard_derivatives()
         return True

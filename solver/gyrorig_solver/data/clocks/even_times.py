@@ -12,7 +12,6 @@ What to use when: `evenly_spaced` for arrival times without stalls.
 from itertools import pairwise
 
 import numpy as np
-from scipy.ndimage import minimum_filter1d
 
 from gyrorig_solver.data.arrays import FloatArray, IntArray
 from gyrorig_solver.data.clocks.clock_faults import CounterArray
@@ -89,6 +88,8 @@ def _rise_s(lag_s: FloatArray) -> FloatArray:
 
     It is zero near the ends, where a window has few samples.
     """
+    from scipy.ndimage import minimum_filter1d  # noqa: PLC0415 - slow to load
+
     half = WINDOW_SAMPLES // 2
     ahead_s = minimum_filter1d(lag_s, WINDOW_SAMPLES, mode="nearest", origin=-half)
     behind_s = minimum_filter1d(lag_s, WINDOW_SAMPLES, mode="nearest", origin=half - 1)
