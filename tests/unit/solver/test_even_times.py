@@ -57,3 +57,16 @@ def test_samples_that_are_not_even_keep_their_times() -> None:
     rng = np.random.default_rng(3)
     host_s = np.cumsum(PERIOD_S * rng.uniform(0.2, 1.8, 4000))
     assert np.all(evenly_spaced(np.arange(4000, dtype=np.uint32), host_s) == host_s)
+
+
+def test_a_rate_that_drifts_with_the_temperature_is_followed() -> None:
+    """500 ppm in 130 s: one straight line is up to 8 ms off."""
+    count = 13_000
+    period_s = PERIOD_S * (1.0 + 500e-6 * np.arange(count) / count)
+    true_s = np.cumsum(period_s)
+    host_s = np.maximum.accumulate(true_s + np.random.default_rng(4).exponential(JITTER_S, count))
+    line_s = np.polyval(np.polyfit(np.arange(count), true_s, 1), np.arange(count))
+    assert np.abs(errors_s(line_s, true_s)).max() > 5e-3
+    times_s = evenly_spaced(np.arange(count, dtype=np.uint32), host_s)
+    assert np.abs(errors_s(times_s, true_s)).max() < JITTER_S
+    assert errors_s(times_s, true_s).std() < JITTER_S / 5.0

@@ -22,6 +22,9 @@ LONGEST_STEP_S = 2.0  # of the times against the counter; a longer one is a rest
 WINDOW_SAMPLES = 64  # the smallest latency of so many samples is far below a period
 MIN_SAMPLES = 8  # before and after a step
 STEP_SHARE = 0.5  # of a period
+# The mean of so many latencies has 0.03 of their standard deviation. At 100 Hz, a rate that changes
+# by 500 ppm in 130 s bends the lag by 0.05 ms between two means.
+SMOOTHED_SAMPLES = 1000
 MAX_PASSES = 16  # each finds one step of several within a window
 
 
@@ -58,9 +61,30 @@ def _even_piece(number: IntArray, time_s: FloatArray, period_s: float) -> FloatA
     level_s = _lost_time_s(lag_s, period_s)
     if level_s is None:
         return time_s
-    centred = number - number.mean()
-    line = np.polyfit(centred, lag_s - level_s, 1)
-    return np.asarray(number * period_s + level_s + np.polyval(line, centred), np.float64)
+    smooth_s = _smooth_lag_s(number, lag_s - level_s)
+    return np.asarray(number * period_s + level_s + smooth_s, np.float64)
+
+
+def _smooth_lag_s(number: IntArray, lag_s: FloatArray) -> FloatArray:
+    """Return the mean lag as a function of the sample number, of straight lines, shape (n,).
+
+    The rate of a sensor depends on its temperature, so one line does not fit a long piece.
+    """
+    count = number.size // SMOOTHED_SAMPLES
+    if count < 2:
+        centred = number - number.mean()
+        return np.asarray(np.polyval(np.polyfit(centred, lag_s, 1), centred), dtype=np.float64)
+    first = np.linspace(0, number.size, count, endpoint=False).astype(np.int64)
+    sizes = np.diff(np.append(first, number.size))
+    at, mean_s = (np.add.reduceat(values, first) / sizes for values in (number, lag_s))
+    slopes = np.diff(mean_s)[[0, -1]] / np.diff(at)[[0, -1]]
+    ends = number[[0, -1]]
+    end_s = mean_s[[0, -1]] + slopes * (ends - at[[0, -1]])
+    return np.interp(
+        number,
+        np.concatenate([ends[:1], at, ends[1:]]),
+        np.concatenate([end_s[:1], mean_s, end_s[1:]]),
+    )
 
 
 def _lost_time_s(lag_s: FloatArray, period_s: float) -> FloatArray | None:
