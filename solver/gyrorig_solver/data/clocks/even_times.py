@@ -80,11 +80,9 @@ def _smooth_lag_s(number: IntArray, lag_s: FloatArray) -> FloatArray:
     slopes = np.diff(mean_s)[[0, -1]] / np.diff(at)[[0, -1]]
     ends = number[[0, -1]]
     end_s = mean_s[[0, -1]] + slopes * (ends - at[[0, -1]])
-    return np.interp(
-        number,
-        np.concatenate([ends[:1], at, ends[1:]]),
-        np.concatenate([end_s[:1], mean_s, end_s[1:]]),
-    )
+    knots = np.concatenate([ends[:1], at, ends[1:]])
+    knot_lags_s = np.concatenate([end_s[:1], mean_s, end_s[1:]])
+    return np.asarray(np.interp(number, knots, knot_lags_s), dtype=np.float64)
 
 
 def _lost_time_s(lag_s: FloatArray, period_s: float) -> FloatArray | None:
