@@ -184,10 +184,14 @@ def _without_short_waits(excess_s: FloatArray) -> FloatArray:
     """Return the excess above a limit, of the samples that exceed it.
 
     An exponential has no memory: above any limit, the mean excess is the same. Above the waits of a
-    frame for other frames on the bus, it does not contain them.
+    frame for other frames on the bus, it does not contain them. An adapter that is polled has no
+    exponential latency: if far fewer samples exceed the limit, all are returned.
     """
     limit_s = LONG_MEDIANS * float(np.median(excess_s))
-    return excess_s[excess_s > limit_s] - limit_s
+    is_long = excess_s > limit_s
+    if np.mean(is_long) < 0.5 * 2.0**-LONG_MEDIANS:
+        return excess_s
+    return excess_s[is_long] - limit_s
 
 
 def _find_stalls(samples: GyroSamples, excess_s: FloatArray, is_late: BoolArray) -> list[Stall]:

@@ -2,13 +2,14 @@
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 from tests.unit.twin.conftest import record
 
 from gyrorig_daemon.emulator.physics.host_latency import LatencyTruth
 from gyrorig_protocol.recording.reader import read_recording
 from gyrorig_solver.data.samples import load_samples
-from gyrorig_solver.twin.link_measurement import measure_latency
+from gyrorig_solver.twin.link_measurement import _without_short_waits, measure_latency
 
 FAR = 4.0  # standard deviations: one in 16 000
 BUS_RIG = """
@@ -35,3 +36,13 @@ def test_the_twin_of_a_bus_has_the_jitter_of_the_host(
     assert latency is not None
     assert abs(latency.jitter_s - LatencyTruth().jitter_s) < FAR * latency.jitter_std_s
     assert latency.jitter_std_s < 0.06 * latency.jitter_s
+
+
+def test_a_latency_without_a_tail_is_measured_as_it_is() -> None:
+    """An adapter that is polled every 1 ms delays its frames uniformly."""
+    uniform_s = np.random.default_rng(1).uniform(0.0, 1e-3, 10_000)
+    assert np.all(_without_short_waits(uniform_s) == uniform_s)
+    exponential_s = np.random.default_rng(2).exponential(3e-4, 100_000)
+    long_s = _without_short_waits(exponential_s)
+    assert long_s.size < exponential_s.size / 7
+    assert long_s.mean() == pytest.approx(3e-4, rel=0.05)
