@@ -5,8 +5,11 @@ of the reading. The delay from the sample to the reading changes, so these times
 times. The counter of the samples follows the clock of the sensor. The arrival times show its rate.
 
 What to use when: `has_shared_times` decides; `map_sample_counter` replaces `map_clock`;
-`sample_rate_hz` for the rate alone.
+`map_counted_pieces` for times that the counter corrects.
 """
+
+from collections.abc import Callable
+from itertools import pairwise
 
 import numpy as np
 
@@ -43,12 +46,43 @@ def map_sample_counter(
             otherwise 32.
     """
     modulus = counter_modulus(sequence, sequence_bits)
-    rate_hz = sample_rate_hz(sequence, host_s, modulus)
+    rate_hz = _sample_rate_hz(sequence, host_s, modulus)
     bits = modulus.bit_length() - 1
     return map_clock(sequence.astype(np.int64), host_s, rate_hz, bits, sequence, sequence_bits=bits)
 
 
-def sample_rate_hz(sequence: CounterArray, host_s: FloatArray, modulus: int) -> float:
+def map_counted_pieces(
+    sequence: CounterArray,
+    time_s: FloatArray,
+    longest_step_s: float,
+    map_piece: Callable[[IntArray, FloatArray, float], FloatArray],
+) -> FloatArray:
+    """Return new times of samples, computed for each piece without a restart of the counter, (n,).
+
+    Without a counter, the times are returned as they are.
+
+    Args:
+        sequence: the sample counter, shape (n,).
+        time_s: of the samples, shape (n,), not decreasing.
+        longest_step_s: of the times against the counter. A longer step is a restart of the board or
+            a pause of the host, after which the counter does not show the time.
+        map_piece: returns the new times from the numbers of the samples, their times and the rough
+            period.
+    """
+    modulus = counter_modulus(sequence)
+    rate_hz = _sample_rate_hz(sequence, time_s, modulus)
+    if rate_hz <= 0.0:
+        return time_s
+    steps: IntArray = np.diff(sequence.astype(np.int64)) % modulus
+    number: IntArray = np.concatenate([[0], np.cumsum(steps)])
+    is_break = np.abs(steps / rate_hz - np.diff(time_s)) > longest_step_s
+    edges = [0, *(1 + np.flatnonzero(is_break)).tolist(), time_s.size]
+    return np.concatenate(
+        [map_piece(number[a:b], time_s[a:b], 1.0 / rate_hz) for a, b in pairwise(edges)]
+    )
+
+
+def _sample_rate_hz(sequence: CounterArray, host_s: FloatArray, modulus: int) -> float:
     """Return a rough sample rate, which lost samples and gaps do not change."""
     stride = min(RATE_SAMPLES, sequence.size - 1)
     rows = slice(0, INSPECTED_SAMPLES + stride)

@@ -9,14 +9,11 @@ are much larger than the smallest latency of many samples, so that the arrivals 
 What to use when: `evenly_spaced` for arrival times without stalls.
 """
 
-from itertools import pairwise
-
 import numpy as np
 
 from gyrorig_solver.data.arrays import FloatArray, IntArray
 from gyrorig_solver.data.clocks.clock_faults import CounterArray
-from gyrorig_solver.data.clocks.counted_samples import sample_rate_hz
-from gyrorig_solver.data.clocks.tick_unwrapping import counter_modulus
+from gyrorig_solver.data.clocks.counted_samples import map_counted_pieces
 
 LONGEST_STEP_S = 2.0  # of the times against the counter; a longer one is a restart or a pause
 WINDOW_SAMPLES = 64  # the smallest latency of so many samples is far below a period
@@ -37,20 +34,7 @@ def evenly_spaced(sequence: CounterArray, time_s: FloatArray) -> FloatArray:
         sequence: the sample counter, shape (n,).
         time_s: arrival times without stalls of the host, shape (n,), not decreasing.
     """
-    modulus = counter_modulus(sequence)
-    rate_hz = sample_rate_hz(sequence, time_s, modulus)
-    if rate_hz <= 0.0:
-        return time_s  # nothing counts the samples
-    counts: IntArray = sequence.astype(np.int64)
-    steps: IntArray = np.diff(counts) % modulus
-    number: IntArray = np.concatenate([[0], np.cumsum(steps)])
-    is_break = np.abs(steps / rate_hz - np.diff(time_s)) > LONGEST_STEP_S
-    edges = [0, *(1 + np.flatnonzero(is_break)).tolist(), time_s.size]
-    pieces = [
-        _even_piece(number[first:last], time_s[first:last], 1.0 / rate_hz)
-        for first, last in pairwise(edges)
-    ]
-    return np.concatenate(pieces)
+    return map_counted_pieces(sequence, time_s, LONGEST_STEP_S, _even_piece)
 
 
 def _even_piece(number: IntArray, time_s: FloatArray, period_s: float) -> FloatArray:

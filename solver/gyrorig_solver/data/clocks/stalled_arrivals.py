@@ -7,14 +7,11 @@ counter of the samples, show when they were taken.
 What to use when: `times_without_stalls` for arrival times that are used as sample times.
 """
 
-from itertools import pairwise
-
 import numpy as np
 
 from gyrorig_solver.data.arrays import FloatArray, IntArray
 from gyrorig_solver.data.clocks.clock_faults import CounterArray
-from gyrorig_solver.data.clocks.counted_samples import sample_rate_hz
-from gyrorig_solver.data.clocks.tick_unwrapping import counter_modulus
+from gyrorig_solver.data.clocks.counted_samples import map_counted_pieces
 
 LONGEST_STALL_S = 2.0  # a later sample is no longer compared with the samples after it
 STALL_FACTOR = 15.0  # times the mean lateness: an exponential exceeds it once in 3e6 samples
@@ -31,28 +28,14 @@ def times_without_stalls(sequence: CounterArray, host_s: FloatArray) -> FloatArr
         sequence: the sample counter, shape (n,).
         host_s: arrival times, shape (n,), not decreasing.
     """
-    modulus = counter_modulus(sequence)
-    rate_hz = sample_rate_hz(sequence, host_s, modulus)
-    if rate_hz <= 0.0:
-        return host_s  # nothing counts the samples
-    counts: IntArray = sequence.astype(np.int64)
-    steps: IntArray = np.diff(counts) % modulus
-    number: IntArray = np.concatenate([[0], np.cumsum(steps)])
-    # After a restart of the board, or a pause of the host, the counter does not show the time.
-    is_break = np.abs(steps / rate_hz - np.diff(host_s)) > LONGEST_STALL_S
-    edges = [0, *(1 + np.flatnonzero(is_break)).tolist(), host_s.size]
-    pieces = [
-        _without_stalls(number[first:last], host_s[first:last], rate_hz)
-        for first, last in pairwise(edges)
-    ]
-    return np.concatenate(pieces)
+    return map_counted_pieces(sequence, host_s, LONGEST_STALL_S, _without_stalls)
 
 
-def _without_stalls(number: IntArray, host_s: FloatArray, rate_hz: float) -> FloatArray:
+def _without_stalls(number: IntArray, host_s: FloatArray, period_s: float) -> FloatArray:
     from scipy.ndimage import minimum_filter1d  # noqa: PLC0415 - slow to load
 
-    lag_s = host_s - number / rate_hz
-    following = max(1, min(round(LONGEST_STALL_S * rate_hz), host_s.size))
+    lag_s = host_s - number * period_s
+    following = max(1, min(round(LONGEST_STALL_S / period_s), host_s.size))
     earliest_s = minimum_filter1d(lag_s, following, mode="nearest", origin=-(following // 2))
     late_s = lag_s - earliest_s
     waited = late_s > STALL_FACTOR * float(np.median(late_s)) / np.log(2.0)
