@@ -217,7 +217,7 @@ class LikelihoodFit:
             board.accept(new_derivatives)
 
     def renew_derivatives(self) -> bool:
-        """Compute new derivatives at the current values; return False if they are new."""
+        """Compute better derivatives at the current values; return False if there are none."""
         renewed = [board.renew_derivatives() for board in self.boards]
         if any(renewed):
             self._equations = ()

@@ -120,7 +120,7 @@ class TrustRegionProblem(Protocol):
         ...
 
     def renew_derivatives(self) -> bool:
-        """Compute new derivatives at the current values; return False if they are new."""
+        """Compute better derivatives at the current values; return False if there are none."""
         ...
 
     def finish(self, proposal: ProposedStep) -> None:
@@ -166,7 +166,8 @@ def minimise(
         allowed = _allowed_increase(always_renew, evaluation, progress.lost_nats)
         ratio = _gain_ratio(decrease, proposal.predicted_decrease, allowed)
         was_accepted = ratio >= MIN_GAIN_RATIO
-        if progress.has_stalled(decrease, was_accepted):
+        progress.add(decrease, was_accepted)
+        if progress.has_stalled:
             return _not_converged(problem, full, evaluation + 1)
         if was_accepted:
             problem.accept(new_derivatives=always_renew or ratio < REFRESH_GAIN_RATIO)
@@ -200,8 +201,13 @@ class _Progress:
         """The increase of the objective since its lowest value."""
         return self._level_nats - self._lowest_nats
 
-    def has_stalled(self, decrease: float, was_accepted: bool) -> bool:
-        """Count an evaluation; return whether the last ones rejected steps without progress."""
+    @property
+    def has_stalled(self) -> bool:
+        """Whether the last evaluations rejected steps, and the objective did not decrease."""
+        return self._evaluations >= STALLED_EVALUATIONS and self._rejections >= STALLED_REJECTIONS
+
+    def add(self, decrease: float, was_accepted: bool) -> None:
+        """Count an evaluation."""
         self._evaluations += 1
         self._rejections += not was_accepted
         if was_accepted:
@@ -210,7 +216,6 @@ class _Progress:
         if self._lowest_nats < self._reference_nats - PROGRESS_NATS:
             self._reference_nats = self._lowest_nats
             self._evaluations = self._rejections = 0
-        return self._evaluations >= STALLED_EVALUATIONS and self._rejections >= STALLED_REJECTIONS
 
 
 def _is_negligible(
