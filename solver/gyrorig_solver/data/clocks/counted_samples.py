@@ -73,7 +73,8 @@ def map_counted_pieces(
     rate_hz = _sample_rate_hz(sequence, time_s, modulus)
     if rate_hz <= 0.0:
         return time_s
-    steps: IntArray = np.diff(sequence.astype(np.int64)) % modulus
+    counts: IntArray = sequence.astype(np.int64)
+    steps: IntArray = np.diff(counts) % modulus
     number: IntArray = np.concatenate([[0], np.cumsum(steps)])
     is_break = np.abs(steps / rate_hz - np.diff(time_s)) > longest_step_s
     edges = [0, *(1 + np.flatnonzero(is_break)).tolist(), time_s.size]
