@@ -43,26 +43,16 @@ def predict_part(
     predicted = predict_rate(series, blocks, values.reference, values.lag_s)
     usable, effect, timing_sensitive = series.good[samples] & predicted.known, None, None
     sample_effect = None
-    if state is not None and _has_all_samples(state, series):
-        # An unknown low-pass changes the samples at an edge more than their mean.
+    if state is not None:
+        # A pulse or a low-pass changes the samples at an edge more than their mean.
         sample_state = replace(state, instants_per_block=1)
         sample_effect, mask = effect_and_mask(fitted_terms, sample_state)
         effect = state.block_means(sample_effect)
         timing_sensitive = None if mask is None else series.used_blocks(mask)
-    elif state is not None:
-        effect, timing_sensitive = effect_and_mask(fitted_terms, state)
     if timing_sensitive is not None:
         usable = usable & ~np.repeat(timing_sensitive, series.samples_per_block)
     measured = series.rate_rad_s(samples)
-    return PredictedPart(measured, predicted.rate, usable, effect, timing_sensitive, sample_effect)
-
-
-def _has_all_samples(state: SignalState, series: Series) -> bool:
-    """Return whether a state has an instant for each of several samples of a block."""
-    return (
-        series.may_have_unrecorded_low_pass
-        and 1 < series.samples_per_block == state.instants_per_block
-    )
+    return PredictedPart(measured, predicted.rate, usable, effect, sample_effect, timing_sensitive)
 
 
 def build_part_model(

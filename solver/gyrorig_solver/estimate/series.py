@@ -50,11 +50,6 @@ class Series:
         return None if self.has_means else self.bandwidth_hz
 
     @property
-    def may_have_unrecorded_low_pass(self) -> bool:
-        """Whether a low-pass, which every sensor has, is missing in the prediction."""
-        return self.bandwidth_hz is None and not self.has_means
-
-    @property
     def block_count(self) -> int:
         """The number of block means used: slightly fewer than all, for a fast transform."""
         whole = self.time_s.size // self.samples_per_block

@@ -32,9 +32,10 @@ class PredictedPart:
     measured: FloatArray  # (samples, 3)
     rate: FloatArray  # (samples, 3), stage
     usable: BoolArray  # (samples,), including outliers
-    effect: FloatArray | None  # (blocks, 3), of causes beyond the base model, sensor frame
-    timing_sensitive: BoolArray | None = None  # (blocks,), unusable because of the causes
-    sample_effect: FloatArray | None = None  # (samples, 3); None: as `effect`
+    # Of causes beyond the base model, sensor frame; None: there are none.
+    effect: FloatArray | None  # (blocks, 3)
+    sample_effect: FloatArray | None  # (samples, 3)
+    timing_sensitive: BoolArray | None  # (blocks,), unusable because of the causes; None: none
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -189,12 +190,8 @@ class SeriesState:
         series = self.series
         samples = series.samples_of_blocks(blocks)
         residual = part.measured - part.rate @ values.gain.T - values.bias_rad_s
-        if part.effect is not None:
-            residual -= (
-                np.repeat(part.effect, series.samples_per_block, axis=0)
-                if part.sample_effect is None
-                else part.sample_effect
-            )
+        if part.sample_effect is not None:
+            residual -= part.sample_effect
         scaled = residual
         if relative_std is not None:
             scaled = residual / np.repeat(relative_std.values.T, series.samples_per_block, axis=0)

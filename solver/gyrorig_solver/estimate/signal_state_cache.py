@@ -39,7 +39,7 @@ class SignalStateCache:
             series: one of the recording.
             blocks: of the part.
             values: of the fit.
-            exact: if a block is one sample, use the samples' fine grid, on which corners of a few
+            exact: use the fine grid of the samples, on which pulses and corners of a few
                 milliseconds are visible. Otherwise use a coarse grid, sufficient for derivatives.
         """
         key = id(series), blocks.start, exact
@@ -51,10 +51,11 @@ class SignalStateCache:
         return built_state
 
     def _build(self, series: Series, blocks: slice, values: FitValues, exact: bool) -> SignalState:
-        instants, intervals_per_instant = instants_per_block(series), 1
-        if exact and (series.samples_per_block == 1 or series.may_have_unrecorded_low_pass):
-            instants = series.samples_per_block
-            intervals_per_instant = series.intervals_per_sample
+        instants, intervals_per_instant = (
+            (series.samples_per_block, series.intervals_per_sample)
+            if exact
+            else (instants_per_block(series), 1)
+        )
         edges = series.block_edges_s(blocks, instants * intervals_per_instant) - values.lag_s
         angles = getattr(values.reference, "angles_rad", None)
         return SignalState.build(
