@@ -23,6 +23,9 @@ from gyrorig_solver.estimate.series import Series
 from gyrorig_solver.reference import ReferenceMotion
 
 MIN_REFERENCE_RATE_RAD_S = 0.003  # of the reference
+# Samples at which an error of the time of an event is visible: before and after it, and the
+# settling time of the low-pass, in periods of its bandwidth.
+EVENT_MARGIN_SAMPLES, SETTLING_PERIODS = 4, 2.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -174,6 +177,7 @@ class SeriesState:
         relative_std: RelativeStd | None,
         quantum_rad_s: float,
         keeps_rejected: bool,
+        event_times_s: FloatArray,
     ) -> None:
         """Determine again which samples of a part are outliers.
 
@@ -184,6 +188,8 @@ class SeriesState:
             relative_std: of the noise; None: the same at all times.
             quantum_rad_s: one count.
             keeps_rejected: outliers stay outliers.
+            event_times_s: of the causes in the fit, as the samples' times. A sample next to an
+                event is not an outlier, because a small error of the time leaves a large residual.
         """
         if not part.usable.any():
             return
@@ -199,8 +205,23 @@ class SeriesState:
         if outliers.any():
             std = robust_spread(residual, part.usable, quantum_rad_s)[1]
             outliers &= ~_rig_impulse_mask(series, samples, residual, outliers, values, std)
+            outliers &= ~_event_mask(series, samples, event_times_s)
         previous = self.good if keeps_rejected else series.good
         self.good[samples] = previous[samples] & ~outliers
+
+
+def _event_mask(series: Series, samples: slice, event_times_s: FloatArray) -> BoolArray:
+    """Return which samples contain the effect of an event, or of an error of its time."""
+    mask = np.zeros(samples.stop - samples.start, dtype=np.bool_)
+    bandwidth_hz = series.filter_bandwidth_hz
+    settling_s = 0.0 if bandwidth_hz is None else SETTLING_PERIODS / bandwidth_hz
+    margin_s = EVENT_MARGIN_SAMPLES * series.period_s
+    for event_s in event_times_s:
+        begin, end = np.searchsorted(
+            series.time_s[samples], (event_s - margin_s, event_s + margin_s + settling_s)
+        )
+        mask[begin:end] = True
+    return mask
 
 
 def _rig_impulse_mask(

@@ -36,7 +36,12 @@ from gyrorig_solver.estimate.reference_prediction import (
 from gyrorig_solver.estimate.series import PART_BLOCKS, Series, too_short_error
 from gyrorig_solver.estimate.series_state import FitValues, PredictedPart, SeriesState
 from gyrorig_solver.estimate.signal_state_cache import SignalStateCache
-from gyrorig_solver.model import RecordingContext, SignalState
+from gyrorig_solver.model import (
+    RecordingContext,
+    SignalState,
+    recording_index_of,
+    value_indices,
+)
 from gyrorig_solver.reference import ReferenceMotion
 
 
@@ -300,6 +305,7 @@ class SessionFit:
                         relative_std,
                         self.sampling.quantum_rad_s,
                         self.keeps_rejected,
+                        self._event_times_s(),
                     )
                     series_state.set_block_means(blocks, part, self.keeps_rejected)
         self._predicted_parts.clear()
@@ -392,6 +398,18 @@ class SessionFit:
     ) -> SignalState:
         """Return the signal state of one part of a series; see `SignalStateCache.state`."""
         return self._signal_states.state(series, blocks, self._values(gain), exact)
+
+    def _event_times_s(self) -> FloatArray:
+        """Return when the samples show the events of the causes in this recording."""
+        context = self.context
+        number = None if context is None else context.recording_index
+        times_s = [
+            fitted_term.values[index] + self.lag_s
+            for fitted_term in self.fitted_terms
+            if recording_index_of(fitted_term.term) in (None, number)
+            for index in value_indices(fitted_term.term, role="event")
+        ]
+        return np.array(times_s)
 
     def _values(self, gain: FloatArray) -> FitValues:
         return FitValues(self.lag_s, gain.copy(), self.bias_rad_s.copy(), self.reference)
