@@ -183,11 +183,15 @@ class EmulatedRig:
         document = self.truth.to_document()
         if self.truth.injected:
             document["power_up_raw_ns"] = self.origin_ns
-            slips = {"pan": self.hooks.pan.slip, "tilt": self.hooks.tilt.slip}
+            slips = {"pan": self.hooks.pan.slips, "tilt": self.hooks.tilt.slips}
             document["happened"] = {
-                f"lost_steps.{axis}": {"value": slip.happened_s, "unit": "s"}
-                for axis, slip in slips.items()
-                if slip is not None and slip.happened_s is not None
+                f"lost_steps.{axis}{f'.{number}' if number > 1 else ''}": {
+                    "value": slip.happened_s,
+                    "unit": "s",
+                }
+                for axis, of_axis in slips.items()
+                for number, slip in enumerate(of_axis, start=1)
+                if slip.happened_s is not None
             }
         if start_ns is not None and end_ns is not None:
             for name, board in self.boards.items():
@@ -224,7 +228,7 @@ def _axis_truth(unit: PtuSettings, sign: int, scale_error: float, hooks: AxisHoo
         base_speed_added_steps_s=hooks.base_speed_added_rad_s / step_rad,
         s_curve_s=hooks.s_curve_s,
         start_delay_s=unit.start_delay_ms * 1e-3,
-        slip=hooks.slip,
+        slips=tuple(hooks.slips),
         step_effects=(*made_effects, *hooks.step_effects),
         angle_effects=tuple(hooks.angle_effects),
     )

@@ -13,7 +13,13 @@ from gyrorig_solver.apply.calibration_file import (
     BASE_PARAMETERS,
 )
 from gyrorig_solver.apply.correction import Correction, Frame
-from gyrorig_solver.calibration import CalibrationDocument, Parameter, bias_curve, scale_curve
+from gyrorig_solver.calibration import (
+    CalibrationDocument,
+    Parameter,
+    bias_curve,
+    cause_of_parameter,
+    scale_curve,
+)
 from gyrorig_solver.data import FloatArray, TemperatureCurve
 
 THERMAL_BIAS_ORDERS = ("slope", "square", "cube")
@@ -50,7 +56,7 @@ def build_correction(calibration: CalibrationDocument, frame: Frame = "stage") -
     force, force_notes = _g_sensitivity(calibration)
     not_applied += force_notes
     for parameter in calibration.parameters:
-        cause = parameter.partition(".")[0].partition("@")[0]
+        cause = cause_of_parameter(parameter)
         if cause not in BASE_PARAMETERS and cause not in APPLIED_PARAMETERS:
             reason = ATTITUDE_TERMS.get(cause, "it describes the rig or one recording")
             not_applied.append(f"the parameter {parameter} is not applied, because {reason}")

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from gyrorig_protocol.errors import InputError
 from gyrorig_protocol.suggestions import did_you_mean
-from gyrorig_solver.calibration import CalibrationDocument, parse_calibration
+from gyrorig_solver.calibration import CalibrationDocument, cause_of_parameter, parse_calibration
 from gyrorig_solver.calibration.document_checks import check_values
 
 BASE_PARAMETERS = ("bias", "scale", "nonorthogonality", "misalignment", "time_offset")
@@ -78,7 +78,7 @@ def check_parameters(document: CalibrationDocument, name: str) -> None:
     cause_ids = {file.name.removesuffix(".py") for file in folder.iterdir()}
     cause_ids |= set(ATTITUDE_TERMS)
     for parameter in document.parameters:
-        cause = parameter.partition(".")[0].partition("@")[0]
+        cause = cause_of_parameter(parameter)
         known = (*BASE_PARAMETERS, *sorted(cause_ids))
         if cause in cause_ids:  # the parameters of other causes are not applied
             known = APPLIED_PARAMETERS.get(cause, (parameter,))

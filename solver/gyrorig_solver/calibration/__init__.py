@@ -23,6 +23,7 @@ from gyrorig_solver.calibration.calibration_store import (
     StoredVersion,
     create_store,
 )
+from gyrorig_solver.calibration.document_checks import cause_of_parameter
 from gyrorig_solver.calibration.sensor_profiles import find_profile
 from gyrorig_solver.calibration.temperature_record import (
     TemperatureRecord,
@@ -41,6 +42,7 @@ __all__ = [
     "UnitPriorRecord",
     "bias_curve",
     "calibration_as_mapping",
+    "cause_of_parameter",
     "create_store",
     "find_profile",
     "parse_calibration",

@@ -13,6 +13,7 @@ from gyrorig_solver.calibration.calibration_document import (
     LevelRecord,
     Parameter,
 )
+from gyrorig_solver.calibration.document_checks import cause_of_parameter
 from gyrorig_solver.calibration.temperature_record import CurveRecord, TemperatureRecord
 from gyrorig_solver.model import (
     PARAMETER_GROUPS,
@@ -161,13 +162,12 @@ def cause_groups(calibration: CalibrationDocument) -> tuple[ParameterGroup, ...]
 
 def _cause_unit(name: str, unit: str) -> tuple[float, str]:
     """Return factor and unit to show for `cause` or `cause.parameter`."""
-    cause, _, parameter_name = name.partition(".")
-    return cause_display_unit(cause, parameter_name, unit)
+    return cause_display_unit(cause_of_parameter(name), name.partition(".")[2], unit)
 
 
 def _entry_labels(name: str, count: int) -> tuple[str, ...]:
     """Return the component labels of a cause's parameter: `cause` or `cause.parameter`."""
-    cause, _, parameter_name = name.partition(".")
+    cause, parameter_name = cause_of_parameter(name), name.partition(".")[2]
     parameters = catalogue()[cause].parameters if cause in catalogue() else ()
     for parameter in parameters:
         if parameter_name in ("", parameter.name) and len(parameter.components) == count:

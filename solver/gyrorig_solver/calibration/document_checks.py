@@ -19,10 +19,12 @@ from gyrorig_protocol.errors import InputError
 if TYPE_CHECKING:
     from gyrorig_solver.calibration.calibration_document import CalibrationDocument
 
-# thermal_bias, thermal_bias.slope, lost_steps@2, lost_steps@2.pan
-PARAMETER_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,63}(@[0-9]{1,4})?(\.[A-Za-z0-9_]{1,64})?")
+# thermal_bias, thermal_bias.slope, lost_steps@2, lost_steps#3@2.pan
+PARAMETER_NAME = re.compile(
+    r"[A-Za-z][A-Za-z0-9_]{0,63}(#[0-9]{1,2})?(@[0-9]{1,4})?(\.[A-Za-z0-9_]{1,64})?"
+)
 # bias.x of recording 2 of board 1
-_VALUE_NAME = re.compile(r"[A-Za-z0-9_.@ ]{1,120}")
+_VALUE_NAME = re.compile(r"[A-Za-z0-9_.#@ ]{1,120}")
 _CORRECT_NAME = "write a name with letters, digits and underscores, or solve the recording again"
 _SOLVE_AGAIN = "correct the document, or solve the recording again"
 _AXES = 3
@@ -39,6 +41,11 @@ SETTING_LIMITS = {
     "gyro_full_scale_dps": (1e-3, 1e6),
     "gyro_scale_rad_s": (1e-12, 10.0),
 }
+
+
+def cause_of_parameter(name: str) -> str:
+    """Return the part of a parameter's name that is the id of a cause or of a group of values."""
+    return re.split("[.#@]", name, maxsplit=1)[0]
 
 
 def check_document(document: "CalibrationDocument", name: str) -> None:

@@ -164,7 +164,10 @@ def review_ranking(
             term = space.fitted_terms[k].term
             label = term_label(term)
             labels = considered.get(label, set()) | confusable_labels(term, terms)
-            candidates = [term for term in terms if term_label(term) in {*labels, label}]
+            candidates = [
+                term,
+                *(other for other in terms if term_label(other) in labels - {label}),
+            ]
             ranked_causes.append(
                 rank_against_alternatives(space, k, candidates, tests, shows_beside)
             )

@@ -33,7 +33,7 @@ from gyrorig_solver.discover.law_candidates import fit_law_cause
 from gyrorig_solver.discover.model_evidence import best_model
 from gyrorig_solver.discover.score_tests import FALSE_ALARM_RATE, CandidateScore, scan_catalogue
 from gyrorig_solver.discover.search_memory import SearchMemory
-from gyrorig_solver.discover.testable_terms import count_tests, select_testable
+from gyrorig_solver.discover.testable_terms import count_tests, select_testable, terms_not_fitted
 from gyrorig_solver.estimate import NuisanceProjector
 from gyrorig_solver.model import Term, term_label, value_indices
 
@@ -183,7 +183,7 @@ class _Search(Generic[Space]):
         """
         fitted_labels = self._space.labels
         if self._scored_projection is not self._projection:
-            terms = [term for term in self._terms if term_label(term) not in fitted_labels]
+            terms = terms_not_fitted(self._terms, fitted_labels)
             self._scores = scan_catalogue(self._projection, terms, self._tests)
             self._scored_projection = self._projection
         usable = [score for score in self._scores if term_label(score.term) not in self._left_out]

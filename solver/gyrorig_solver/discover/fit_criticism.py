@@ -14,9 +14,8 @@ from gyrorig_solver.discover.cause_findings import CauseFindings, DependenceTest
 from gyrorig_solver.discover.checks.model_check import DEPENDENCE_FALSE_ALARM_RATE
 from gyrorig_solver.discover.fit_space import FitSpace
 from gyrorig_solver.discover.score_tests import FALSE_ALARM_RATE, CandidateScore, scan_catalogue
-from gyrorig_solver.discover.testable_terms import count_tests, select_testable
+from gyrorig_solver.discover.testable_terms import count_tests, select_testable, terms_not_fitted
 from gyrorig_solver.estimate import GyroFit, NuisanceProjector
-from gyrorig_solver.model import term_label
 from gyrorig_solver.model.catalogue import catalogue
 
 LISTED_CAUSES = 3
@@ -66,7 +65,7 @@ def scan_other_causes(
 ) -> tuple[list[CandidateScore], int]:
     """Return the scores of all causes that a fit does not contain, and the number of tests."""
     terms = select_testable(space.terms.values(), projector)
-    others = [term for term in terms if term_label(term) not in space.labels]
+    others = terms_not_fitted(terms, space.labels)
     return scan_catalogue(projector, others, count_tests(terms)), count_tests(terms)
 
 

@@ -4,7 +4,7 @@ What to use when: `testable_terms` for the catalogue, `select_testable` for othe
 `testable_instances` for one.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Sequence, Set
 
 from gyrorig_solver.discover.score_tests import testable_places
 from gyrorig_solver.estimate import NuisanceProjector
@@ -12,6 +12,7 @@ from gyrorig_solver.model import (
     Term,
     form_for,
     limit_to_recording,
+    occurrence_after,
     why_not_computable,
     why_not_testable,
 )
@@ -69,6 +70,12 @@ def acting_instances(term: Term, projection: NuisanceProjector) -> list[Term]:
         for instance in instances
         if instance.kind == "effect" and why_not_computable(instance, projection.states) is None
     ]
+
+
+def terms_not_fitted(terms: Sequence[Term], fitted_labels: Set[str]) -> list[Term]:
+    """Return the causes that a fit lacks; of a cause that can recur, its next occurrence."""
+    others = (occurrence_after(term, fitted_labels) for term in terms)
+    return [term for term in others if term is not None]
 
 
 def count_tests(terms: Sequence[Term]) -> int:

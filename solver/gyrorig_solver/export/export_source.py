@@ -19,7 +19,7 @@ from gyrorig_solver.apply.calibration_file import (
     BASE_PARAMETERS,
     check_parameters,
 )
-from gyrorig_solver.calibration import calibration_document
+from gyrorig_solver.calibration import calibration_document, cause_of_parameter
 from gyrorig_solver.calibration.document_checks import check_document
 from gyrorig_solver.data import FloatArray, TemperatureCurve
 
@@ -178,9 +178,7 @@ class ExportSource:
                 would be wrong.
         """
         contained = {*BASE_PARAMETERS, *carried}
-        causes = dict.fromkeys(
-            name.partition(".")[0].partition("@")[0] for name in self.document.parameters
-        )
+        causes = dict.fromkeys(cause_of_parameter(name) for name in self.document.parameters)
         if "g_sensitivity" in causes and "g_sensitivity" not in carried:
             raise InputError(
                 "the bias in the calibration depends on the acceleration, but the export format "

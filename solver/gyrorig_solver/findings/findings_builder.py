@@ -144,12 +144,17 @@ def unexplained_bias_sigma(residual: FoundUnexplained) -> float:
 def figure_key(cause: NamedCause) -> str:
     """Return the key of a cause's figure; it is part of a file name."""
     index = recording_index_of(cause.term)
-    return figure_key_at(cause.cause, cause.where, None if index is None else index + 1)
+    number = None if index is None else index + 1
+    return figure_key_at(cause.cause, cause.where, number, cause.term.occurrence)
 
 
-def figure_key_at(cause: str, where: Sequence[str], recording_number: int | None) -> str:
-    """Return the key of a figure; causes of single recordings can have the same name and place."""
-    return "-".join((cause, *where, *([] if recording_number is None else [str(recording_number)])))
+def figure_key_at(
+    cause: str, where: Sequence[str], recording_number: int | None, occurrence: int
+) -> str:
+    """Return the key of a figure; causes of one name and place differ in the other arguments."""
+    recording = [] if recording_number is None else [str(recording_number)]
+    again = [] if occurrence == 1 else [f"again{occurrence}"]
+    return "-".join((cause, *where, *recording, *again))
 
 
 def _untestable_entries(findings: CauseFindings, raw: Sequence[RawChecks]) -> list[UntestableEntry]:
@@ -231,6 +236,7 @@ def _searched_cause(
         harm_sigma=finite_values(cause.parameter_bias_sigma),
         remedy=cause_remedy(cause.cause, link),
         recording=cause.recording,
+        occurrence=cause.term.occurrence,
     )
 
 

@@ -114,6 +114,7 @@ class CauseEntry(_Document, frozen=True, omit_defaults=True):
     harm_sigma: float | None = None  # largest of those changes, in standard uncertainties
     remedy: str = ""
     recording: str | None = None  # in which it happened; None: in all of them
+    occurrence: int = 1  # its number if it happened several times in a recording
 
 
 class DependenceEntry(_Document, frozen=True):

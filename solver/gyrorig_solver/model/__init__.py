@@ -35,13 +35,6 @@ from gyrorig_solver.model.parameter_units import (
     plural,
 )
 from gyrorig_solver.model.recording_context import STANDARD_GRAVITY_M_S2, RecordingContext, Site
-from gyrorig_solver.model.recording_scope import (
-    is_active_in,
-    limit_to_recording,
-    recording_index_of,
-    term_label,
-    value_labels,
-)
 from gyrorig_solver.model.signal_arrays import (
     AxisBiases,
     Signals,
@@ -61,6 +54,14 @@ from gyrorig_solver.model.term import (
     value_parameters,
 )
 from gyrorig_solver.model.term_form import form_for
+from gyrorig_solver.model.term_instances import (
+    is_active_in,
+    limit_to_recording,
+    occurrence_after,
+    recording_index_of,
+    term_label,
+    value_labels,
+)
 from gyrorig_solver.model.term_kinds import LinearTerm
 from gyrorig_solver.model.testability import why_not_computable, why_not_testable
 from gyrorig_solver.model.value_format import DEG, XYZ, format_list
@@ -105,6 +106,7 @@ __all__ = [
     "group_of",
     "is_active_in",
     "limit_to_recording",
+    "occurrence_after",
     "parameter_label",
     "plural",
     "recording_index_of",

@@ -171,6 +171,8 @@ class Term(ABC):
     is_always_present: bool = False  # only its size is unknown: it is tried before all others
     template_search: TemplateSearch = "grid"
     holds_shapes: bool = False  # a fit is not smooth in the shapes: they are found like an event
+    can_recur: bool = False  # it can happen several times in one recording, each with its values
+    occurrence: int = 1  # the number of this one among them
     equivalent_causes: tuple[str, ...] = ()  # the same function on one of its axes
     first_order_equivalent: str = ""  # the cause that replaces it in the first scan
     scale_follows_temperature: bool = False  # its size is a change of the scale factor per kelvin

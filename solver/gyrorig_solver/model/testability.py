@@ -6,9 +6,9 @@ counts that the averaging of a long recording hides.
 
 from collections.abc import Sequence
 
-from gyrorig_solver.model.recording_scope import is_active_in
 from gyrorig_solver.model.signal_state import SignalState
 from gyrorig_solver.model.term import LONG_RECORDING, Term
+from gyrorig_solver.model.term_instances import is_active_in
 
 
 def why_not_testable(term: Term, states: Sequence[SignalState]) -> str | None:

@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from gyrorig_solver.calibration import cause_of_parameter
 from gyrorig_solver.discover import FALSE_ALARM_RATE
 from gyrorig_solver.findings import (
     UNEXPLAINED_FIGURE,
@@ -214,7 +215,7 @@ def _cause_view(
     components = () if cause.where == "all" else tuple(cause.where.split(", "))
     names = [entry.name for entry in document.recording]
     number = names.index(cause.recording) + 1 if cause.recording in names else None
-    key = figure_key_at(cause.cause, components, number)
+    key = figure_key_at(cause.cause, components, number, cause.occurrence)
     p_value = cause.evidence.p_value
     return {
         "title": cause_headline(cause),
@@ -309,7 +310,7 @@ def _change_rows(changes: Sequence[ChangeEntry]) -> list[dict[str, str]]:
         if group is not None:
             factor, unit = group.factor, "" if group.unit == "1" else group.unit
         else:
-            cause = change.parameter.partition(".")[0].partition("@")[0]
+            cause = cause_of_parameter(change.parameter)
             factor, unit = cause_display_unit(cause, "", change.unit)
         before, _ = format_quantity(factor * change.before, factor * change.std)
         after, std = format_quantity(factor * change.after, factor * change.std)

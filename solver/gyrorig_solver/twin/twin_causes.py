@@ -47,19 +47,19 @@ def collect_causes(fits: Mapping[str, CriticisedFit], recordings: Sequence[str])
         if explanation is None:
             continue
         named = {
-            (c.cause, ", ".join(c.where) or "all", c.recording): c
+            (c.cause, c.term.occurrence, ", ".join(c.where) or "all", c.recording): c
             for c in explanation.findings.causes
         }
         for entry in build_document(explanation).causes:
-            cause = named.get((entry.cause, entry.where, entry.recording))
+            cause = named.get((entry.cause, entry.occurrence, entry.where, entry.recording))
             if entry.cause not in catalogue():
                 collected.not_emulated.append(entry.cause)
                 continue
             owner = None if cause is not None and _belongs_to_unit(cause) else board
             recording = _recording_of(entry, recordings)
-            key = (entry.cause, owner, recording)
+            key = (f"{entry.cause}#{entry.occurrence}", owner, recording)
             if owner is not None and key in numbers:  # the same cause at several places
-                key = (f"{entry.cause}@{entry.where}", owner, recording)
+                key = (f"{key[0]}@{entry.where}", owner, recording)
             if key not in numbers:
                 is_common = owner is None and len(fits) > 1
                 sizes = _stated_sizes(entry) if cause is None else _fitted_sizes(cause)
@@ -161,7 +161,7 @@ def _add_known_causes(
     """Add the causes that the fit has removed as known, such as the rotation of the Earth."""
     solution = criticised.solution
     for fitted in () if solution is None else solution.fitted_terms:
-        key = (fitted.term.cause, None, None)
+        key = (f"{fitted.term.cause}#1", None, None)
         if fitted.term.kind != "known" or key in numbers:
             continue
         sizes = {

@@ -13,7 +13,7 @@ from tests.support.quick_cases import quick_cases
 from gyrorig_daemon.emulator.causes.backlash import Backlash
 from gyrorig_daemon.emulator.causes.base_compliance import BaseCompliance
 from gyrorig_daemon.emulator.causes.earth_rotation import EARTH_RATE_RAD_S, earth_rate_base_rad_s
-from gyrorig_daemon.emulator.causes.lost_steps import LostSteps
+from gyrorig_daemon.emulator.causes.lost_steps import LostSteps, RotorShift
 from gyrorig_daemon.emulator.causes.ringing import Ringing
 from gyrorig_daemon.emulator.causes.tilt_zero import TiltZero
 from gyrorig_daemon.emulator.physics.effects.harmonic import Harmonic
@@ -298,26 +298,36 @@ def test_a_halt_with_a_wrong_acceleration_still_stops_on_a_step() -> None:
 
 @pytest.mark.parametrize("lost", [8.0, -3.0])
 def test_lost_steps_are_lost_once_and_not_counted(lost: float) -> None:
-    axis = driven(AxisTruth(ARCSEC, slip=LostSteps(lost, after_s=1.0)))
+    axis = driven(AxisTruth(ARCSEC, slips=(LostSteps(lost, after_s=1.0),)))
     plain = driven(AxisTruth(ARCSEC))
     difference = fine_steps(axis) - fine_steps(plain)
     # the first move after 1 s goes down from 900 to 400: it stops short of its way
     assert set(np.round(difference, 6)) == {0.0, lost}
-    happened_s = axis.truth.slip.happened_s if axis.truth.slip else None
+    happened_s = axis.truth.slips[0].happened_s
     assert happened_s is not None
     assert 2.2 < happened_s < 2.9
     assert (difference != 0.0).argmax() * FINE_S == pytest.approx(happened_s, abs=2 * FINE_S)
     assert [axis.count(t) for t in (2.1, 2.95, 6.9)] == [900, 400, -500]
 
 
+def test_steps_can_be_lost_several_times() -> None:
+    slips = (RotorShift(4.0, 2.5), LostSteps(8.0, 1.0), RotorShift(-4.0, 2.6))
+    difference = fine_steps(driven(AxisTruth(ARCSEC, slips=slips))) - fine_steps(
+        driven(AxisTruth(ARCSEC))
+    )
+    assert all(slip.happened_s is not None for slip in slips)
+    assert len(set(np.round(difference, 6))) == 4  # before, between and after the losses
+    assert difference[-1] == pytest.approx(8.0)
+
+
 def test_a_gap_swallows_lost_steps_that_fit_into_it() -> None:
     # The rotor falls back by 2 steps on its way up, the wheel stands still meanwhile.
     gap, lost = 5.0, 2.0
     axis = driven(
-        AxisTruth(ARCSEC, slip=LostSteps(lost, 0.0), step_effects=(Backlash(gap),)), [(0.5, 900.0)]
+        AxisTruth(ARCSEC, slips=(LostSteps(lost, 0.0),), step_effects=(Backlash(gap),)),
+        [(0.5, 900.0)],
     )
-    slip = axis.truth.slip
-    assert slip is not None
+    (slip,) = axis.truth.slips
     assert slip.happened_s is not None
     around = axis.angles_rad(slip.happened_s - 2e-3, 1e-4, 41) / axis.truth.step_rad
     assert np.diff(around).min() >= 0.0

@@ -64,9 +64,9 @@ class LostSteps(UnitCause):
         """See `Cause`."""
         for axis in injected.axis_hooks(hooks):
             if "shift" in injected.parameters:
-                axis.slip = RotorShift(injected.number("shift"), injected.number("at"))
+                axis.slips.append(RotorShift(injected.number("shift"), injected.number("at")))
             else:
-                axis.slip = cls(injected.number("steps"), injected.number("after"))
+                axis.slips.append(cls(injected.number("steps"), injected.number("after")))
 
     def on_move(self, segments: Sequence[Segment]) -> tuple[float, float] | None:
         """See `axis_effects.StepLoss`."""

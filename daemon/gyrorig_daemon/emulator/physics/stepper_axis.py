@@ -38,7 +38,7 @@ class AxisTruth:
     base_speed_added_steps_s: float = 0.0  # true base speed = commanded + this
     s_curve_s: float = 0.0  # length of the window that averages the plan
     start_delay_s: float = 0.0  # from a command to the change of the motion
-    slip: StepLoss | None = None
+    slips: tuple[StepLoss, ...] = ()
     step_effects: tuple[StepEffect, ...] = ()  # between motor and gear
     angle_effects: tuple[AngleEffect, ...] = ()  # behind the gear
 
@@ -114,9 +114,9 @@ class StepperAxis:
         segments = plan_motion(time_s, steps, speed, target_steps, self.truth.true_law(law))
         self._train.append(segments)
         self._invalidate(time_s)
-        slip = None if self.truth.slip is None else self.truth.slip.on_move(segments)
-        if slip is not None:
-            self._slip(*slip)
+        losses = [slip.on_move(segments) for slip in self.truth.slips]
+        for loss in sorted(loss for loss in losses if loss is not None):
+            self._slip(*loss)
 
     def set_law(self, time_s: float, law: MotionLaw) -> None:
         """Change the limits; a move in progress continues with the new ones."""

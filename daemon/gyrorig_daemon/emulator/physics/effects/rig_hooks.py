@@ -31,7 +31,7 @@ class AxisHooks:
     acceleration_error: float = 0.0
     base_speed_added_rad_s: float = 0.0
     s_curve_s: float = 0.0
-    slip: StepLoss | None = None
+    slips: list[StepLoss] = field(default_factory=list)
     # Makers take the angle of a step in rad. Their effects act before the others.
     step_effect_makers: list[Callable[[float], StepEffect]] = field(default_factory=list)
     step_effects: list[StepEffect] = field(default_factory=list)

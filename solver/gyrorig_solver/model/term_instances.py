@@ -1,13 +1,16 @@
-"""Causes that act in one of several recordings that are fitted together.
+"""Causes that act in one of several recordings, or several times in a recording.
 
 A board or a unit has a cause in all its recordings. A bias step or a board slip occurs in one
-recording. `limit_to_recording` makes a term whose effect is zero in all other recordings.
+recording. `limit_to_recording` makes a term whose effect is zero in all other recordings. A motor
+can lose steps several times, and each loss is a term with its own size and time.
 
 What to use when: `limit_to_recording` for a cause of scope `recording` if there are several
-recordings; `is_active_in` before its template bank or its times are needed; `term_label` to
-distinguish it from the same cause in another recording.
+recordings; `occurrence_after` for a cause that a fit may contain already; `is_active_in` before
+its template bank or its times are needed; `term_label` to distinguish the instances of a cause.
 """
 
+from collections.abc import Set
+from copy import copy
 from functools import cache
 from typing import Any
 
@@ -17,6 +20,8 @@ from gyrorig_solver.data import FloatArray
 from gyrorig_solver.model.signal_arrays import zero_signals
 from gyrorig_solver.model.signal_state import SignalState
 from gyrorig_solver.model.term import Term, value_names
+
+MAX_OCCURRENCES = 3  # of one cause in a recording
 
 
 class _OneRecordingMixin:
@@ -90,9 +95,26 @@ def is_active_in(term: Term, state: SignalState) -> bool:
 
 
 def term_label(term: Term) -> str:
-    """Return the id of a cause, followed by @ and its recording, counted from 1, if limited."""
+    """Return the id of a cause, with its occurrence after # and its recording after @, from 1.
+
+    The first occurrence has no number, and a cause that acts in all recordings names none.
+    """
     recording_index = recording_index_of(term)
-    return term.cause if recording_index is None else f"{term.cause}@{recording_index + 1}"
+    occurrence = "" if term.occurrence == 1 else f"#{term.occurrence}"
+    recording = "" if recording_index is None else f"@{recording_index + 1}"
+    return f"{term.cause}{occurrence}{recording}"
+
+
+def occurrence_after(term: Term, labels: Set[str]) -> Term | None:
+    """Return the first occurrence of a cause whose label is not in a set; None if there is none."""
+    if term_label(term) not in labels:
+        return term
+    for occurrence in range(2, MAX_OCCURRENCES + 1) if term.can_recur else ():
+        later = copy(term)
+        later.occurrence = occurrence
+        if term_label(later) not in labels:
+            return later
+    return None
 
 
 def value_labels(term: Term) -> tuple[str, ...]:
