@@ -179,7 +179,11 @@ def find_detection_limits(
     # The calibration states the bias of the last recording and the time offset of one of them.
     # Causes of the other recordings do not bias it.
     stated = (None, len(space.recording_names) - 1, space.offset_recording)
-    scores = [score for score in scores if recording_index_of(score.term) in stated]
+    scores = [
+        score
+        for score in scores
+        if recording_index_of(score.term) in stated and score.term.occurrence == 1
+    ]
     separate_causes = {score.term.cause for score in scores if score.place is not None}
     for score in scores:
         if score.place is None and score.term.cause in separate_causes:
