@@ -38,6 +38,15 @@ def test_samples_that_are_lost_without_a_gap_delay_the_later_ones() -> None:
     assert np.abs(errors_s(times_s, true_s)).max() < GOOD_S
 
 
+@pytest.mark.parametrize("lost_share", [0.003, 0.01])
+def test_many_samples_are_lost_without_a_gap(lost_share: float) -> None:
+    """Before, the times had an error of 1.2 ms at 0.3 %, and were the arrivals at 1 %."""
+    is_lost = np.random.default_rng(5).uniform(size=COUNT) < lost_share
+    true_s, host_s = arrivals(np.flatnonzero(~is_lost))
+    times_s = evenly_spaced(np.arange(true_s.size).astype(np.uint32), host_s)
+    assert errors_s(times_s, true_s).std() < JITTER_S / 3.0
+
+
 def test_a_restart_of_the_counter_changes_no_times() -> None:
     number, restart = np.arange(COUNT), 15_000
     true_s, host_s = arrivals(number)

@@ -53,6 +53,7 @@ def map_clock(
     sequence: CounterArray | None = None,
     *,
     sequence_bits: int | None = None,
+    is_sensor_clock: bool = False,
     overwrite: bool = False,
 ) -> ClockMap:
     """Return sample times from raw ticks and arrival times.
@@ -65,6 +66,7 @@ def map_clock(
         sequence: the sample counter as sent, shape (n,), if there is one.
         sequence_bits: width of the sample counter; None: 16 if no value exceeds 65535,
             otherwise 32.
+        is_sensor_clock: the ticks are the sample counter, whose rate drifts with the temperature.
         overwrite: allows the use of the memory of `ticks` for the result and of `host_s` as
             work space; `host_s` is restored up to rounding. Saves 370 MB for 8 h at 800 Hz.
     """
@@ -82,7 +84,9 @@ def map_clock(
     largest_s, stride = 0.0, max(1, host_s.size // _QUANTILE_SAMPLES)
     for a, b in pairwise(edges.tolist()):
         segment_time_s, segment_lag_s = times[a:b], lag_s[a:b]
-        floor_fit = find_latency_floor(*_sorted_by_time(segment_time_s, segment_lag_s))
+        floor_fit = find_latency_floor(
+            *_sorted_by_time(segment_time_s, segment_lag_s), is_sensor_clock=is_sensor_clock
+        )
         floors.append((float(segment_time_s[-1] - segment_time_s[0]), floor_fit))
         for start in range(a, b, PIECE_SAMPLES):
             rows = slice(start, min(start + PIECE_SAMPLES, b))

@@ -2,7 +2,8 @@
 
 A board that reads the FIFO of its sensor often gives all samples of one reading the same time, that
 of the reading. The delay from the sample to the reading changes, so these times are no sampling
-times. The counter of the samples follows the clock of the sensor. The arrival times show its rate.
+times. The counter of the samples follows the clock of the sensor. The arrival times show its rate,
+which drifts with the temperature of the sensor.
 
 What to use when: `has_shared_times` decides; `map_sample_counter` replaces `map_clock`;
 `map_counted_pieces` for times that the counter corrects.
@@ -48,7 +49,10 @@ def map_sample_counter(
     modulus = counter_modulus(sequence, sequence_bits)
     rate_hz = _sample_rate_hz(sequence, host_s, modulus)
     bits = modulus.bit_length() - 1
-    return map_clock(sequence.astype(np.int64), host_s, rate_hz, bits, sequence, sequence_bits=bits)
+    return map_clock(
+        sequence.astype(np.int64), host_s, rate_hz, bits, sequence,
+        sequence_bits=bits, is_sensor_clock=True,
+    )  # fmt: skip
 
 
 def map_counted_pieces(

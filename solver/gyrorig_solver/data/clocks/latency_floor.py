@@ -3,7 +3,8 @@
 What to use when: `find_latency_floor`. Up to two minutes the floor is a line; for longer
 segments it is a piecewise envelope by linear programming or the smoother on window minima. The
 two methods have different errors. A large difference indicates structured latency, for example
-the beat of a timer with USB frames.
+the beat of a timer with USB frames. The clock of a sensor drifts more than a crystal, so that its
+floor is an envelope also in a short segment.
 """
 
 from dataclasses import dataclass
@@ -14,6 +15,7 @@ import numpy as np
 from gyrorig_solver.data.arrays import FloatArray
 from gyrorig_solver.data.clocks.clock_smoother import (
     WINDOW_S,
+    DelayWindows,
     SmoothedClock,
     excess_autocorrelation,
     least_delays,
@@ -35,6 +37,10 @@ MIN_BEAT_POWER_SHARE = 0.2  # of the power; below it there is no beat
 # Assumed frequency random walk of a crystal on a desk, per sqrt(s); long recordings use the
 # estimate of the smoother.
 WALK_PER_SQRT_S = 1e-8
+# Of the oscillator of a sensor, whose rate changes with its temperature. Of 1e-7, 3e-7, 1e-6 and
+# 3e-6, it has the smallest errors at drifts of 0 to 500 ppm in 130 s.
+SENSOR_WALK_PER_SQRT_S = 1e-6
+MIN_DELAYS_PER_WINDOW = 4.0  # mean delays, so that each window contains a reading of a FIFO
 # Sum of squared autocorrelations; independent windows stay below it for any distribution.
 MAX_AUTOCORRELATION = 0.25
 MAX_DISAGREEMENT_SIGMAS = 3.0  # times the predicted standard deviation
@@ -54,12 +60,15 @@ class LatencyFloor:
     walk_per_sqrt_s: float = float("nan")
 
 
-def find_latency_floor(device_s: FloatArray, delay_s: FloatArray) -> LatencyFloor:
+def find_latency_floor(
+    device_s: FloatArray, delay_s: FloatArray, *, is_sensor_clock: bool = False
+) -> LatencyFloor:
     """Return the latency floor of delays.
 
     Args:
         device_s: device time, not decreasing, shape (n,).
         delay_s: arrival minus device time, shape (n,).
+        is_sensor_clock: the device time counts samples, whose rate drifts with the temperature.
     """
     line = hull_line(device_s, delay_s)
     mean_s = _mean_delay_s(device_s, delay_s, line)
@@ -67,6 +76,14 @@ def find_latency_floor(device_s: FloatArray, delay_s: FloatArray) -> LatencyFloo
     if span_s <= 0.0 or mean_s <= 0.0:
         return LatencyFloor(line, "line", 0.0, 0.0)
     period_s = span_s / device_s.size
+    if is_sensor_clock:
+        window_s = max(WINDOW_S, MIN_DELAYS_PER_WINDOW * mean_s)
+        windows = least_delays(device_s, delay_s, line, window_s, mean_s)
+        beat_s = _beat_s(windows)
+        # A faster change is not the temperature: the readings beat with the samples.
+        if beat_s is None or beat_s > STRUCTURED_KNOT_SPACING_S:
+            noise_s = windows.sigma_s * float(np.sqrt(window_s))
+            return _sensor_floor(device_s, delay_s, mean_s, period_s, noise_s)
     if span_s <= MAX_LINE_SPAN_S:
         return _line_floor(device_s, delay_s, line, mean_s, period_s)
     smoothed = smooth_clock(device_s, delay_s, line, mean_s)
@@ -119,6 +136,28 @@ def _line_floor(
     )
 
 
+def _sensor_floor(
+    device_s: FloatArray, delay_s: FloatArray, mean_s: float, period_s: float, noise_s: float
+) -> LatencyFloor:
+    """Return an envelope that follows the temperature of the sensor.
+
+    Args:
+        device_s: device time, not decreasing, shape (n,).
+        delay_s: arrival minus device time, shape (n,).
+        mean_s: of the delays.
+        period_s: mean step of the device time.
+        noise_s: standard deviation of the least delay of one second.
+    """
+    spacing_s = _knot_spacing_s(mean_s, period_s, SENSOR_WALK_PER_SQRT_S)
+    ideal_bound_s = wander_bound_s(mean_s, period_s, SENSOR_WALK_PER_SQRT_S)
+    return LatencyFloor(
+        _fit_envelope(device_s, delay_s, spacing_s, mean_s, SENSOR_WALK_PER_SQRT_S),
+        "envelope",
+        ideal_bound_s,
+        float(np.hypot(0.6 * ideal_bound_s, noise_s / np.sqrt(spacing_s))),
+    )
+
+
 def _long_recording_floor(
     device_s: FloatArray,
     delay_s: FloatArray,
@@ -129,7 +168,7 @@ def _long_recording_floor(
     """Return the envelope or the smoother, with an uncertainty from their difference."""
     walk, windows = smoothed.walk_per_sqrt_s, smoothed.windows
     ideal_bound_s = wander_bound_s(mean_s, period_s, walk)
-    spacing_s = float(np.clip(1.5 * (mean_s * period_s / walk) ** 0.4, *KNOT_SPACING_RANGE_S))
+    spacing_s = _knot_spacing_s(mean_s, period_s, walk)
     envelope = _fit_envelope(device_s, delay_s, spacing_s, mean_s, walk)
     disagreement_s = _rms_disagreement_s(envelope, smoothed)
     excess_s = float(np.median(windows.excess_s))
@@ -147,7 +186,7 @@ def _long_recording_floor(
     elif smoothed.autocorrelation > MAX_AUTOCORRELATION and noise_s > MIN_STRUCTURE_S:
         structure_reason = f"the smallest delays in windows of {WINDOW_S:g} s are autocorrelated"
     if structure_reason:
-        spacing_s = min(_knot_spacing_beyond_beat_s(smoothed), float(device_s[-1] - device_s[0]))
+        spacing_s = min(_knot_spacing_beyond_beat_s(windows), float(device_s[-1] - device_s[0]))
         envelope = _fit_envelope(device_s, delay_s, spacing_s, mean_s, WALK_PER_SQRT_S)
     # The difference of two independent methods bounds the error of both.
     envelope_s = max(
@@ -163,6 +202,10 @@ def _long_recording_floor(
         structure_reason,
         walk,
     )
+
+
+def _knot_spacing_s(mean_s: float, period_s: float, walk: float) -> float:
+    return float(np.clip(1.5 * (mean_s * period_s / walk) ** 0.4, *KNOT_SPACING_RANGE_S))
 
 
 def _fit_envelope(
@@ -181,9 +224,17 @@ def _rms_disagreement_s(envelope: Envelope, smoothed: SmoothedClock) -> float:
     return float(np.std(envelope.delay_at(at_s) - smoothed.floor.delay_at(at_s)))
 
 
-def _knot_spacing_beyond_beat_s(smoothed: SmoothedClock) -> float:
-    """Return two periods of the strongest beat in the least delays, a minute without one."""
-    at_s, least_s = smoothed.windows.at_s, smoothed.windows.least_s
+def _knot_spacing_beyond_beat_s(windows: DelayWindows) -> float:
+    """Return two periods of the beat in the least delays, a minute without one."""
+    beat_s = _beat_s(windows)
+    if beat_s is None:
+        return STRUCTURED_KNOT_SPACING_S
+    return float(np.clip(2.0 * beat_s, STRUCTURED_KNOT_SPACING_S, MAX_KNOT_SPACING_S))
+
+
+def _beat_s(windows: DelayWindows) -> float | None:
+    """Return the period of the strongest beat in the least delays, None without one."""
+    at_s, least_s = windows.at_s, windows.least_s
     # The wander of the clock is slower than any relevant beat.
     half_span = round(MAX_KNOT_SPACING_S / float(np.median(np.diff(at_s))))
     if at_s.size > 2 * half_span:
@@ -197,6 +248,5 @@ def _knot_spacing_beyond_beat_s(smoothed: SmoothedClock) -> float:
     power = np.abs(np.fft.rfft(np.clip(residual, -limit, limit))[1:]) ** 2
     strongest = int(np.argmax(power))
     if power[strongest] < MIN_BEAT_POWER_SHARE * power.sum():
-        return STRUCTURED_KNOT_SPACING_S
-    beat_s = residual.size / (strongest + 1) * float(np.median(np.diff(at_s)))
-    return float(np.clip(2.0 * beat_s, STRUCTURED_KNOT_SPACING_S, MAX_KNOT_SPACING_S))
+        return None
+    return residual.size / (strongest + 1) * float(np.median(np.diff(at_s)))
