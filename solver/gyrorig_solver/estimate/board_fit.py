@@ -167,11 +167,11 @@ class BoardFit:
 
         If they belong to the current values, the new ones are on a finer grid.
         """
-        if all(session.has_new_derivatives for session in self.sessions):
-            refined = [session.refine_derivatives() for session in self.sessions]
+        if all(session.derivatives.are_current for session in self.sessions):
+            refined = [session.derivatives.refine() for session in self.sessions]
             return any(refined)
         for session in self.sessions:
-            session.discard_derivatives()
+            session.derivatives.discard()
         return True
 
     def apply_step(self, step: FloatArray, nuisance_steps: Sequence[FloatArray]) -> None:

@@ -43,7 +43,7 @@ def summarize_board(
     """
     layout = board.layout
     for recording, session in enumerate(board.sessions):
-        session.release_equations()
+        session.derivatives.release_equations()
         position = int(layout.index(recording)[TIME_OFFSET])
         information = add_parameter_noise(information, position, session.common_std_s)
         biases = layout.index(recording)[BIASES]

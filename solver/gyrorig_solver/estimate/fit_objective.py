@@ -36,7 +36,7 @@ def residual_decrease(
         gain_before: G, shape (3, 3).
         gain_after: the same after the step.
     """
-    noise = before.equation_noise
+    noise = before.derivatives.equation_noise
     if noise is None:
         raise ValueError("the recording has no normal equations yet")
     total = 0.0

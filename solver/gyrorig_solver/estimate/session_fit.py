@@ -8,33 +8,25 @@ combined.
 from collections.abc import Iterator, Sequence
 from copy import copy
 from dataclasses import replace
-from functools import reduce
-from operator import add
 
 import numpy as np
 
 from gyrorig_protocol.errors import InputError
 from gyrorig_solver.data import BoolArray, FloatArray
-from gyrorig_solver.estimate.executed_motion import executed_motion, follow_law
+from gyrorig_solver.estimate.derivative_cache import DerivativeCache
+from gyrorig_solver.estimate.executed_motion import follow_law
 from gyrorig_solver.estimate.fitted_term import FittedTerm
-from gyrorig_solver.estimate.initial_guess import LeastSquaresSums
-from gyrorig_solver.estimate.linear.normal_equations import (
-    CachedNormalEquations,
-    NormalEquations,
-    NormalEquationsSum,
-)
+from gyrorig_solver.estimate.linear.normal_equations import NormalEquations, NormalEquationsSum
 from gyrorig_solver.estimate.linear.whitening import PartModel, WhitenedPart, whiten_residual
 from gyrorig_solver.estimate.motion_weights import MotionWeights
 from gyrorig_solver.estimate.noise.motion_noise import MotionNoise
 from gyrorig_solver.estimate.noise.noise_model import NoiseModel, Sampling
 from gyrorig_solver.estimate.noise.relative_std import RelativeStd
-from gyrorig_solver.estimate.part_model import build_part_model, predict_part
-from gyrorig_solver.estimate.reference_prediction import (
-    low_pass_delay_s,
-    predict_derivatives,
-)
+from gyrorig_solver.estimate.part_model import predict_part
+from gyrorig_solver.estimate.recording_series import RecordingSeries
+from gyrorig_solver.estimate.reference_prediction import low_pass_delay_s
 from gyrorig_solver.estimate.series import PART_BLOCKS, Series, too_short_error
-from gyrorig_solver.estimate.series_state import FitValues, PredictedPart, SeriesState
+from gyrorig_solver.estimate.series_state import FitValues, PredictedPart
 from gyrorig_solver.estimate.signal_state_cache import SignalStateCache
 from gyrorig_solver.model import (
     RecordingContext,
@@ -45,7 +37,7 @@ from gyrorig_solver.model import (
 from gyrorig_solver.reference import ReferenceMotion
 
 
-class SessionFit:
+class SessionFit(RecordingSeries):
     """One recording's part of a fit."""
 
     def __init__(
@@ -70,6 +62,7 @@ class SessionFit:
         """
         if not series:
             raise too_short_error(sampling)
+        super().__init__(series)
         self.sampling = replace(
             sampling,
             differentiated=reference.is_differentiated,
@@ -79,24 +72,12 @@ class SessionFit:
         self.bias_rad_s, self.lag_s = np.zeros(3), 0.0
         self.fitted_terms: tuple[FittedTerm, ...] = ()
         self._timestamp_std_s = timestamp_std_s
-        self._series_states = [
-            SeriesState.empty(series_of_recording) for series_of_recording in series
-        ]
-        self._models: dict[tuple[int, int], PartModel] = {}
+        self.derivatives = DerivativeCache()
         self._signal_states = SignalStateCache(context)
-        self._cached_equations: CachedNormalEquations | None = None
         self._predicted_parts: dict[tuple[int, int], PredictedPart] = {}
         self._used_before: list[BoolArray] = []  # before the last prediction
         self.keeps_rejected = False  # whether outliers stay outliers
-        self.has_new_derivatives = True  # whether the derivatives belong to the current values
-        self._has_fine_derivatives = False
-        self.equation_noise: NoiseModel | None = None  # of the last normal equations
         self._weights = MotionWeights()
-
-    @property
-    def series(self) -> list[Series]:
-        """The series, in the order of time."""
-        return [series_state.series for series_state in self._series_states]
 
     @property
     def context(self) -> RecordingContext | None:
@@ -112,41 +93,6 @@ class SessionFit:
     def time_offset_s(self) -> float:
         """The total lag, including the delay of the low-pass."""
         return self.lag_s + low_pass_delay_s(self._series_states[0].series)
-
-    @property
-    def measured(self) -> list[FloatArray]:
-        """Measured block means, (n, 3) per series."""
-        return [series_state.measured for series_state in self._series_states]
-
-    @property
-    def cause_effects(self) -> list[FloatArray]:
-        """The effect of causes beyond the base model, sensor frame, (n, 3) per series."""
-        return [series_state.effect for series_state in self._series_states]
-
-    @property
-    def rates(self) -> list[FloatArray]:
-        """Stage rates, (n, 3) per series."""
-        return [series_state.rate for series_state in self._series_states]
-
-    @property
-    def used(self) -> list[BoolArray]:
-        """Which blocks are used, (n,) per series."""
-        return [series_state.used for series_state in self._series_states]
-
-    @property
-    def used_samples(self) -> list[BoolArray]:
-        """Which samples of each block are used, (n, m) per series."""
-        return [series_state.used_samples for series_state in self._series_states]
-
-    @property
-    def moving(self) -> list[BoolArray]:
-        """Which blocks are in motion, (n,) per series."""
-        return [series_state.moving for series_state in self._series_states]
-
-    @property
-    def outliers(self) -> int:
-        """The number of samples rejected as outliers."""
-        return sum(series_state.outlier_count for series_state in self._series_states)
 
     def residuals(self, gain: FloatArray) -> list[FloatArray]:
         """Return measured minus modelled rates at G (3, 3), 0 where unused, (n, 3) per series."""
@@ -187,17 +133,15 @@ class SessionFit:
         """Return a copy of the state, for another fit."""
         other = copy(self)
         other._series_states = [series_state.copy() for series_state in self._series_states]
-        other._models, other._cached_equations = {}, None
+        other.derivatives = self.derivatives.copy(with_derivatives=False)
         other._signal_states = self._signal_states.copy()
         other._predicted_parts = {}
-        other.has_new_derivatives = True
         return other
 
     def trial_copy(self) -> "SessionFit":
         """Return a copy with the same derivatives, for a step that may be rejected."""
         other = self.copy()
-        other._models, other._cached_equations = self._models.copy(), self._cached_equations
-        other.has_new_derivatives = False
+        other.derivatives = self.derivatives.copy(with_derivatives=True)
         return other
 
     def started_from(self, other: "SessionFit") -> "SessionFit":
@@ -254,11 +198,6 @@ class SessionFit:
             for series_state in self._series_states
         ]
 
-    def least_squares_sums(self, masks: Sequence[BoolArray]) -> LeastSquaresSums:
-        """Return the sums of least squares over masked blocks of each series."""
-        pairs = zip(self._series_states, masks, strict=True)
-        return reduce(add, (series_state.least_squares_sums(mask) for series_state, mask in pairs))
-
     def update_prediction(
         self, gain: FloatArray, detect_outliers: bool, new_derivatives: bool
     ) -> None:
@@ -314,32 +253,16 @@ class SessionFit:
             for series_state, previous in zip(self._series_states, self._used_before, strict=True)
         )
         if new_derivatives or not is_unchanged:
-            self.discard_derivatives()
-
-    def discard_derivatives(self) -> None:
-        """Discard the derivatives; the next normal equations need new ones."""
-        self._cached_equations = None
-        self._models.clear()
-        self.has_new_derivatives = True
-
-    def refine_derivatives(self) -> bool:
-        """Use the fine grid for derivatives from now on; return False if it is used already."""
-        if self._has_fine_derivatives:
-            return False
-        self._has_fine_derivatives = True
-        self.discard_derivatives()
-        return True
+            self.derivatives.discard()
 
     def normal_equations(self, gain: FloatArray, noise: NoiseModel) -> NormalEquations:
         """Return the normal equations of the recording."""
         local_count, _ = self.reference.information.size
         residuals = self.residuals(gain)
-        if self._cached_equations is not None and self._cached_equations.is_valid_for(
-            noise, self.relative_std(0, slice(0, 1))
-        ):
-            self.equation_noise = self._cached_equations.noise
-            return self._cached_equations.at_residual(residuals[0], local_count)
-        self.equation_noise = noise
+        relative_std = self.relative_std(0, slice(0, 1))
+        equations = self.derivatives.equations_for(noise, relative_std)
+        if equations is not None:
+            return equations.at_residual(residuals[0], local_count)
         total: NormalEquations | None = None
         for series_index, (series_state, residual) in enumerate(
             zip(self._series_states, residuals, strict=True)
@@ -353,7 +276,7 @@ class SessionFit:
             if sums is not None:
                 total = sums.total() if total is None else total + sums.total()
             if len(residuals) == len(parts) == 1 and total is not None:
-                self._cached_equations = CachedNormalEquations(part, total, noise)
+                self.derivatives.keep_equations(part, total)
         if total is None:
             raise too_short_error(self.sampling)
         return total
@@ -361,12 +284,7 @@ class SessionFit:
     def release_caches(self) -> None:
         """Free signal states and derivatives, which can be computed again."""
         self._signal_states.clear()
-        self._models.clear()
-        self._cached_equations = None
-
-    def release_equations(self) -> None:
-        """Free the normal equations, which only further iterations would need."""
-        self._cached_equations = None
+        self.derivatives.release()
 
     def update_motion_noise(self, gain: FloatArray, noise: NoiseModel) -> bool:
         """Estimate the noise in motion; return whether that changed the weights.
@@ -415,27 +333,11 @@ class SessionFit:
         return FitValues(self.lag_s, gain.copy(), self.bias_rad_s.copy(), self.reference)
 
     def _part_model(self, series_index: int, blocks: slice, gain: FloatArray) -> PartModel:
-        series_state, key = self._series_states[series_index], (series_index, blocks.start)
-        relative_std = self.relative_std(series_index, blocks)
-        if key in self._models:
-            model = self._models[key]
-            if model.relative_std is not relative_std:
-                model = self._models[key] = replace(model, relative_std=relative_std)
-            return model
-        is_fitted = any(fitted_term.free_indices.size for fitted_term in self.fitted_terms)
-        state = (
-            self.signal_state(series_state.series, blocks, gain, exact=True) if is_fitted else None
-        )
-        columns = predict_derivatives(
-            series_state.series,
+        return self.derivatives.part_model(
+            self._series_states[series_index],
             blocks,
-            executed_motion(self.reference),
-            self.lag_s,
-            self._has_fine_derivatives,
+            self._values(gain),
+            self.fitted_terms,
+            self._signal_states,
+            self.relative_std(series_index, blocks),
         )
-        model = build_part_model(series_state, blocks, columns, self.fitted_terms, state, gain)
-        model = replace(model, relative_std=relative_std)
-        # The state of a part of a long series is computed again if needed, to save memory.
-        if series_state.series.block_count <= 2 * PART_BLOCKS:
-            self._models[key] = model
-        return model

@@ -15,11 +15,11 @@ from gyrorig_solver.estimate import (
     FittedTerm,
     GaussianPrior,
     ParameterLayout,
-    SessionFit,
     fit_boards_jointly,
     free_term,
     is_unit_cause,
 )
+from gyrorig_solver.estimate.derivative_cache import DerivativeCache
 from gyrorig_solver.estimate.information import MarginalEquations
 from gyrorig_solver.estimate.motion_fit import solve_motion
 from gyrorig_solver.estimate.shared_parameters import average_shared_values, shared_term_p_value
@@ -53,7 +53,7 @@ def alone(rig: Any) -> dict[str, ConvergedFit]:
 @pytest.fixture(scope="module")
 def joint(alone: dict[str, ConvergedFit]) -> dict[str, ConvergedFit]:
     with pytest.MonkeyPatch.context() as patch:  # keep the equations to compare with
-        patch.setattr(SessionFit, "release_equations", lambda _: None)
+        patch.setattr(DerivativeCache, "release_equations", lambda _: None)
         joint_fit = fit_boards_jointly(alone, [CAUSE])
     assert not joint_fit.left_out
     return dict(joint_fit.solutions)
