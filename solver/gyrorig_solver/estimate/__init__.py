@@ -55,11 +55,7 @@ from gyrorig_solver.estimate.noise.noise_levels import (
 )
 from gyrorig_solver.estimate.noise.noise_model import NoiseModel, Sampling, unit_densities
 from gyrorig_solver.estimate.noise.residual_spectrum import Periodogram, Spectrum, bin_spectrum
-from gyrorig_solver.estimate.nuisance_projector import (
-    LawStatistics,
-    NuisanceProjector,
-    SignalFunction,
-)
+from gyrorig_solver.estimate.nuisance_projector import LawStatistics, NuisanceProjector
 from gyrorig_solver.estimate.nuisance_space import ScoreStatistics
 from gyrorig_solver.estimate.observability import (
     PRIOR_STD,
@@ -74,6 +70,7 @@ from gyrorig_solver.estimate.parameter_layout import (
     ParameterLayout,
 )
 from gyrorig_solver.estimate.sample_averaging import mean_duration_s
+from gyrorig_solver.estimate.segment_signals import SignalFunction
 from gyrorig_solver.estimate.series import Series, build_series, choose_grids
 from gyrorig_solver.estimate.session_fit import SessionFit
 from gyrorig_solver.estimate.shared_parameters import (

@@ -12,7 +12,7 @@ Source: score (Lagrange multiplier) test with nuisances eliminated; Rao, Linear 
 Inference, 6e.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Self
 
@@ -31,7 +31,6 @@ from gyrorig_solver.estimate.fit_segments import build_segments, remaining_terms
 from gyrorig_solver.estimate.fitted_term import FittedTerm
 from gyrorig_solver.estimate.law_effects import LawEffects, LawScale, unit_references
 from gyrorig_solver.estimate.linear.gap_fill import gap_fill
-from gyrorig_solver.estimate.linear.whitening import PartModel
 from gyrorig_solver.estimate.noise.noise_model import NoiseModel
 from gyrorig_solver.estimate.nuisance_basis import NuisancePrior, nuisance_basis
 from gyrorig_solver.estimate.nuisance_space import (
@@ -40,12 +39,10 @@ from gyrorig_solver.estimate.nuisance_space import (
     ReducedModel,
     ScoreStatistics,
 )
-from gyrorig_solver.estimate.series_segment import SeriesSegment, SignalWhitener
-from gyrorig_solver.estimate.whitened_signals import WhitenedSignals
-from gyrorig_solver.model import Signals, SignalState, Term, dense_signals, term_label
+from gyrorig_solver.estimate.segment_signals import SegmentSignals
+from gyrorig_solver.estimate.series_segment import SeriesSegment
+from gyrorig_solver.model import SignalState, Term
 from gyrorig_solver.reference import LAW_QUANTITIES, LAW_VALUES
-
-SignalFunction = Callable[[SignalState], Signals]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -66,7 +63,7 @@ class LawStatistics:
         )
 
 
-class NuisanceProjector(NuisanceSpace):
+class NuisanceProjector(SegmentSignals, NuisanceSpace):
     """The projection orthogonal to a fit's nuisance space; see the module."""
 
     def __init__(
@@ -79,20 +76,13 @@ class NuisanceProjector(NuisanceSpace):
         active_terms: Sequence[FittedTerm] = (),
     ) -> None:
         """Use `at_fit` instead; the effect of `active_terms` is removed from the residual."""
-        self.segments, self.fitted_terms = tuple(segments), tuple(fitted_terms)
+        SegmentSignals.__init__(self, segments, active_terms)
+        self.fitted_terms = tuple(fitted_terms)
         residual = self.whiten(
             [[residual[None] for residual in segment.residuals] for segment in segments]
         )
         lengths = [channel.rows.shape[1] for channel in residual.channels]
-        super().__init__(residual.dense()[0], lengths, basis, local, prior)
-        self._cascades = [
-            [TermCascade(active_terms, state) for state in segment.states] for segment in segments
-        ]
-        self._exact_cascades = [
-            [TermCascade(active_terms, state) for state in segment.exact_states]
-            for segment in segments
-        ]
-        self._cached_term = ""
+        NuisanceSpace.__init__(self, residual.dense()[0], lengths, basis, local, prior)
         # None: its law differs from that of the residual
         self._solution: ConvergedFit | None = None
         self._law_statistics: LawStatistics | None = None
@@ -249,42 +239,6 @@ class NuisanceProjector(NuisanceSpace):
         )
         return LawStatistics(together, replies, effects.scale)
 
-    def unwhiten(self, white_signal: FloatArray, as_if_at_rest: bool = False) -> list[FloatArray]:
-        """Return a whitened signal (all,) as rates, (n, 3) per part; 0 where unused.
-
-        `as_if_at_rest`: scale noise in motion down to that at rest.
-        """
-        rates = []
-        for segment, model, white in self.split_parts(white_signal):
-            std = np.sqrt(segment.noise.dct_variance(model.used.size)).T
-            spectrum = dct(white, axis=-1, norm="ortho")
-            if model.relative_std is not None and not as_if_at_rest:
-                spectrum = model.relative_std.multiply_spectra(spectrum)
-            rate = idct(spectrum * std, axis=-1, norm="ortho").T
-            rates.append(np.where(model.used[:, None], rate, 0.0))
-        return rates
-
-    def split_parts(
-        self, signal: FloatArray
-    ) -> Iterator[tuple[SeriesSegment, PartModel, FloatArray]]:
-        """Yield the segment and model of each part, with its piece (3, n) of a signal (all,)."""
-        start = 0
-        for segment in self.segments:
-            for model in segment.models:
-                stop = start + 3 * model.used.size
-                yield segment, model, signal[start:stop].reshape(3, -1)
-                start = stop
-
-    @property
-    def states(self) -> list[SignalState]:
-        """The signal states of all parts."""
-        return [state for segment in self.segments for state in segment.states]
-
-    def states_before(self, term: Term) -> list[SignalState]:
-        """Return the signal state of each part at a term's input, with all filters and delays."""
-        parts = self._cascades_of(term, exact=False)
-        return [cascade.state_before(term) for part in parts for cascade in part]
-
     def weighted_residual(self) -> list[FloatArray]:
         """Return the residual times the inverse noise covariance, (n, 3) per part.
 
@@ -300,92 +254,6 @@ class NuisanceProjector(NuisanceSpace):
             fill = gap_fill(model.used, segment.noise)
             signals.append((weighted * model.used if fill is None else fill.adjoint(weighted)).T)
         return signals
-
-    def whiten(self, signals: Sequence[Sequence[Signals]]) -> WhitenedSignals:
-        """Return signals of each part of each series, whitened."""
-        channels = [
-            channel
-            for segment, parts in zip(self.segments, signals, strict=True)
-            for channel in segment.whiten(parts)
-        ]
-        return WhitenedSignals(len(signals[0][0]), tuple(channels))
-
-    def evaluate_signals(
-        self, function: SignalFunction, exact: bool = False, term: Term | None = None
-    ) -> WhitenedSignals:
-        """Evaluate a function of each state, (k, blocks, 3), and whiten it.
-
-        Args:
-            function: of a state; its signals, (k, blocks, 3).
-            exact: use the states on the samples' own grid.
-            term: use the states at this term's input, with the earlier causes of the fit applied;
-                None: use the states without causes.
-        """
-        return self.whiten(self._signals_of(function, exact, term))
-
-    def evaluate_together(
-        self, functions: Sequence[SignalFunction], count: int, term: Term | None = None
-    ) -> WhitenedSignals:
-        """Return `count` signals of several functions in sequence, whitened.
-
-        The signals have single precision; `evaluate_signals` returns them in double precision.
-        """
-        whiteners = [SignalWhitener(segment, count, np.float32) for segment in self.segments]
-        for function in functions:
-            for whitener, parts in zip(
-                whiteners, self._signals_of(function, False, term), strict=True
-            ):
-                whitener.add(parts)
-        channels = (channel for whitener in whiteners for channel in whitener.finish())
-        return WhitenedSignals(count, tuple(channels))
-
-    def _signals_of(
-        self, function: SignalFunction, exact: bool, term: Term | None
-    ) -> list[list[Signals]]:
-        """Return the signals of each part of each series."""
-        if term is None:
-            return [
-                [function(state) for state in (segment.exact_states if exact else segment.states)]
-                for segment in self.segments
-            ]
-        return [
-            [
-                cascade.apply_pass_through(
-                    term, dense_signals(function(cascade.state_before(term)))
-                )
-                for cascade in part
-            ]
-            for part in self._cascades_of(term, exact)
-        ]
-
-    def term_derivatives(
-        self, term: Term, values: FloatArray, free: IntArray | Sequence[int]
-    ) -> WhitenedSignals:
-        """Return a term's derivatives, followed by its joint effect, whitened and exact.
-
-        Args:
-            term: the cause.
-            values: of all its parameters, (k,).
-            free: indices of the values for the derivatives.
-        """
-        segments = []
-        for part in self._cascades_of(term, exact=True):
-            signals = []
-            for cascade in part:
-                columns = cascade.apply_pass_through(
-                    term, term.jacobian(cascade.state_before(term), values)[free]
-                )
-                signals.append(np.concatenate([columns, cascade.joint_effect(term, values)[None]]))
-            segments.append(signals)
-        return self.whiten(segments)
-
-    def _cascades_of(self, term: Term, exact: bool) -> list[list[TermCascade]]:
-        """Return the cascades of each part; exact ones keep the states of one term only."""
-        if exact and self._cached_term != term_label(term):
-            for cascade in (cascade for part in self._exact_cascades for cascade in part):
-                cascade.clear_cache()
-            self._cached_term = term_label(term)
-        return self._exact_cascades if exact else self._cascades
 
 
 def _effect_of(

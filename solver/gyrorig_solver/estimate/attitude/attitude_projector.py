@@ -31,7 +31,7 @@ from gyrorig_solver.estimate.cascade import fitted_derivatives, total_effect
 from gyrorig_solver.estimate.fitted_term import FittedTerm
 from gyrorig_solver.estimate.noise.noise_model import NoiseModel
 from gyrorig_solver.estimate.nuisance_basis import NuisancePrior
-from gyrorig_solver.estimate.nuisance_projector import NuisanceProjector, SignalFunction
+from gyrorig_solver.estimate.nuisance_projector import NuisanceProjector
 from gyrorig_solver.estimate.observability import (
     ObservabilityAnalysis,
     analyse_scaled_observability,
@@ -41,6 +41,7 @@ from gyrorig_solver.estimate.parameter_layout import (
     ParameterLayout,
     eliminate_parameters,
 )
+from gyrorig_solver.estimate.segment_signals import SignalFunction
 from gyrorig_solver.estimate.series_segment import SeriesSegment
 from gyrorig_solver.estimate.whitened_signals import WhitenedSignals, join_signals
 from gyrorig_solver.model import RecordingContext, Signals, Term, dense_signals
