@@ -253,8 +253,13 @@ class Term(ABC):
         """
         return NO_ANGLES if self.needs_angles and not state.has_angles else None
 
-    def time_offset_ambiguity_s(self, values: FloatArray) -> float:
-        """Return the possible difference of a later recording's time offset from the fitted one."""
+    def time_offset_ambiguity_s(self, values: FloatArray, duration_s: float) -> float:
+        """Return the possible difference of a later recording's time offset from the fitted one.
+
+        Args:
+            values: of the cause, (k,).
+            duration_s: of the recording.
+        """
         return 0.0
 
     def is_known_at(self, site: Site) -> bool:

@@ -216,8 +216,10 @@ def _with_offset_ambiguity(budget: UncertaintyBudget, solution: ConvergedFit) ->
     """Add the ambiguity of the stated time offset that identified causes leave."""
     covariance, entries = budget.covariance.copy(), list(budget.entries)
     index = CALIBRATION_PARAMETERS.index("time_offset")
+    series = solution.sessions[solution.offset_recording].series
+    duration_s = float(series[-1].time_s[-1] - series[0].time_s[0])
     for fitted_term in solution.fitted_terms:
-        ambiguity_s = fitted_term.term.time_offset_ambiguity_s(fitted_term.values)
+        ambiguity_s = fitted_term.term.time_offset_ambiguity_s(fitted_term.values, duration_s)
         is_stated = recording_index_of(fitted_term.term) in (None, solution.offset_recording)
         if ambiguity_s > 0.0 and is_stated:
             std = np.zeros(len(CALIBRATION_PARAMETERS))

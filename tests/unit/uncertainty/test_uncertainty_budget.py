@@ -314,3 +314,13 @@ def test_the_other_sizes_of_a_fitted_cause_are_certain(
     rare = with_probability("tilt_zero", 0.02)
     present = assess_uncertainty(leaning.fit, rare).expanded_uncertainty(NOISE, 0.95)
     assert present == pytest.approx(certain, rel=1e-6, abs=1e-12)
+
+
+def test_a_clock_skew_leaves_the_time_offset_open_by_half_of_its_drift(leaning: Session) -> None:
+    """The stated offset is that in the middle of the recording."""
+    (series,) = leaning.fit.sessions[0].series
+    drift_s = 40e-6 * float(series.time_s[-1] - series.time_s[0])
+    skew = FittedTerm(find_term("clock_skew"), np.array([-40e-6]), np.zeros(0, np.int64))
+    made = assess_uncertainty(refit_with_terms(leaning.fit, [skew]), only(**KNOWN_CAUSES))
+    index = CALIBRATION_PARAMETERS.index("time_offset")
+    assert made.std[index] == pytest.approx(0.5 * drift_s, rel=1e-3)

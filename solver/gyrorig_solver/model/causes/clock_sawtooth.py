@@ -70,7 +70,7 @@ class ClockSawtooth(TimeTerm):
         """Return -P (f - 1/2)."""
         return {0: self._delay_per_rate(state, values)}
 
-    def time_offset_ambiguity_s(self, values: FloatArray) -> float:
+    def time_offset_ambiguity_s(self, values: FloatArray, duration_s: float) -> float:
         """Return half of a correction, because a later recording can begin anywhere in a period."""
         return 0.5 * abs(float(values[0] * values[1]))
 

@@ -48,6 +48,10 @@ class ClockSkew(TimeTerm):
         """Return -(t - mid)."""
         return {0: self._time_to_middle(state)}
 
+    def time_offset_ambiguity_s(self, values: FloatArray, duration_s: float) -> float:
+        """Return half of the drift during the recording; the stated offset is in its middle."""
+        return 0.5 * abs(float(values[0])) * duration_s
+
     def template_bank(self, state: SignalState) -> FloatArray:
         """Scan zero, and the errors of resonators and of sample rates."""
         return scan_grid(self, rate=np.array([0.0, 1e-3, -1e-3, 1e-2, -1e-2]))

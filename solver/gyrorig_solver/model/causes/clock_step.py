@@ -52,7 +52,7 @@ class ClockStep(TimeTerm):
         """Return -1 after the event."""
         return {0: -instants_after(state, float(values[1]))}
 
-    def time_offset_ambiguity_s(self, values: FloatArray) -> float:
+    def time_offset_ambiguity_s(self, values: FloatArray, duration_s: float) -> float:
         """Return the step size: a later recording can be like the part before or after it."""
         return abs(float(values[0]))
 
