@@ -23,6 +23,7 @@ _AXES = {int(axis): axis for axis in OrderAxis}
 _AXIS_NAMES = {OrderAxis.PAN: "pan", OrderAxis.TILT: "tilt"}
 _ARCSEC_RAD = math.pi / (180.0 * 3600.0)
 _LONGEST_PROGRAM_S = 86_400.0
+_LEAD_NS = 500_000_000  # from the first sample to the begin of a program
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,7 +71,10 @@ def read_replay(path: Path) -> ReplaySource:
     text = next((a.data for a in recording.attachments if a.name == PROGRAM_NAME), b"")
     settings = _program_settings(text)
     rad_per_step = _rad_per_step(recording, orders)
-    before = [o for o in orders if o.request_ns < begin_ns and o.order.kind in _SETTINGS]
+    # An emulated unit needs 3 s for each of these settings, as a real one does. If the recorded unit
+    # was faster and got them within the program, they would delay its first move.
+    before = [o for o in orders if o.request_ns < first_move_ns and o.order.kind in _SETTINGS]
+    orders = [o for o in orders if o not in before]
     motion = RecordedMotion(
         name=path.name,
         # The settings of a program are sent before it, as for any program.
@@ -131,12 +135,19 @@ def _by_exchange(orders: list[TimedOrder]) -> Iterator[tuple[int, list[TimedOrde
 
 
 def _program_span_ns(recording: Recording, first_move_ns: int) -> tuple[int, int]:
-    """Return begin and end of the program; those of the recording if it has no phases."""
+    """Return begin and end of the program; those of the recording if it has no phases.
+
+    If the first sample is later than the begin, the program begins after it, or with its first
+    move. A replay records before its program begins, and the begin of a recording takes some time.
+    """
     begins, ends = (
         [e.host_time_ns for e in recording.events() if e.phase == "program" and e.kind == kind]
         for kind in (EventKind.PHASE_BEGIN, EventKind.PHASE_END)
     )
-    begin_ns = begins[0] if begins else min(_first_sample_ns(recording), first_move_ns)
+    first_sample_ns = _first_sample_ns(recording)
+    begin_ns = begins[0] if begins else 0
+    if begin_ns < first_sample_ns:
+        begin_ns = first_sample_ns + _LEAD_NS
     end_ns = ends[-1] if ends else recording.end_ns
     return min(begin_ns, first_move_ns), max(end_ns, first_move_ns + 1)
 

@@ -22,6 +22,7 @@ RIG_ATTACHMENT = "rig.yaml"
 EMULATED = "emulated"
 BITS_PER_BYTE = 10  # 8N1
 LINE_MARGIN = 1.2  # sample rates are up to 8 % above nominal, and replies need capacity too
+SLOW_BAUDS = (600, 1200, 2400, 4800, 9600, 19200, 38400, 57600)  # of a unit
 BAUDS = (115200, 230400, 250000, 460800, 500000, 921600, 1000000, 2000000)
 NOMINAL_ODRS_HZ = (100, 200, 400, 800)  # of the emulated sensor
 FULL_SCALES_DPS = (250, 500, 2000)
@@ -69,7 +70,7 @@ def build_rig_mapping(recording: Recording, twin: Twin) -> dict[str, Any]:
     site = _site(recording)
     if site:
         mapping["site"] = site
-    mapping["ptu"] = _unit(rig)
+    mapping["ptu"] = _unit(rig, recording)
     if buses:
         mapping["buses"] = buses
     mapping["boards"] = boards
@@ -124,9 +125,13 @@ def _nominal_odr_hz(board: TwinBoard) -> int:
     return min(NOMINAL_ODRS_HZ, key=lambda choice: abs(math.log(choice / odr_hz)))
 
 
-def _unit(rig: Mapping[str, Any]) -> dict[str, Any]:
+def _unit(rig: Mapping[str, Any], recording: Recording) -> dict[str, Any]:
+    """Return the entry of the unit; its baud rate is that of the recording if no rig file has it."""
     unit = rig.get("ptu")
     values = {k: v for k, v in unit.items() if k in UNIT_KEYS} if isinstance(unit, dict) else {}
+    stated = recording.metadata.get("gyrorig.ptu", {}).get("baud", "")
+    if "baud" not in values and stated in map(str, (*SLOW_BAUDS, *BAUDS)):
+        values["baud"] = int(stated)
     return {"port": EMULATED, **values}
 
 

@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
+from tests.bench.rigs.recording_file import write_recording
+from tests.bench.rigs.rig import draw_rig
 
 from gyrorig_daemon.cli import run
 from gyrorig_daemon.session.recorded_motion import read_replay
@@ -245,3 +247,24 @@ def test_the_replay_of_a_recording_states_its_program(recorded: Recording) -> No
     assert source.motion.settings == ()
     assert 0.0 <= source.motion.lead_ns < 2e9
     assert source.motion.exchanges[0].orders[0].value == pytest.approx(np.radians(60.0), rel=1e-2)
+
+
+def test_a_recording_that_begins_with_settings_is_replayed_in_time(tmp_path: Path) -> None:
+    """The simulator sets speed and acceleration within the program, before the first sample."""
+    path = tmp_path / "rig.mcap"
+    write_recording(draw_rig(3), path)
+    measured, replay = read_recording(path), record(tmp_path / "out", "--replay", str(path))
+
+    def move_times_s(recording: Recording) -> list[tuple[str, float]]:
+        first_ns = int(recording.imu_field(recording.board_ids[0], "host_time")[0])
+        return [
+            (command.command, (command.request_time_ns - first_ns) * 1e-9)
+            for command in recording.ptu_commands()
+            if command.command[:2] in ("PP", "TP") and command.command[2:]
+        ]
+
+    expected, replayed = move_times_s(measured), move_times_s(replay)
+    assert [text for text, _ in replayed] == [text for text, _ in expected]
+    delays_s = [b - a for (_, a), (_, b) in zip(expected, replayed, strict=True)]
+    assert len(delays_s) > 10
+    assert np.abs(delays_s).max() < 0.015  # a sample period, and the rest of a poll
