@@ -15,7 +15,7 @@ frequencies, its low-pass and the smoothing of the reference differ (measured on
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -30,6 +30,7 @@ from gyrorig_solver.estimate.attitude.attitude_times import (
     resolve_times,
 )
 from gyrorig_solver.estimate.attitude.linearised_model import LinearisedModel
+from gyrorig_solver.estimate.attitude.shared_noise import shared_noise_reasons
 from gyrorig_solver.estimate.attitude.time_shift import check_rate_unit, check_time_shift
 from gyrorig_solver.estimate.information import PARAMETER_NAMES
 from gyrorig_solver.estimate.observability import (
@@ -63,6 +64,7 @@ class AttitudeFit:
     band_hz: float  # lower than requested if the bands disagree
     resolved: tuple[ResolvedReference, ...]  # of each recording
     rounding_std_rad_s: FloatArray  # (recordings, 3), what rounding adds to each bias
+    shared_noise_reasons: tuple[str, ...] = ()  # to refuse attitudes computed from the gyro
 
     @property
     def offset_recording(self) -> int:
@@ -110,7 +112,12 @@ def solve_attitude(
             raise no_common_stretch(samples, reference, recording_index, len(recordings))
     segments = [match_of_track for _, match_of_track in matches]
     rounding_std = np.array([mean_std_by_rounding(samples) for samples, _ in recordings])
-    return _solve_segments(segments, [k for k, _ in matches], band_hz, None, resolved, rounding_std)
+    fit = _solve_segments(segments, [k for k, _ in matches], band_hz, None, resolved, rounding_std)
+    used = [
+        (samples, outcome.reference)
+        for (samples, _), outcome in zip(recordings, resolved, strict=True)
+    ]
+    return replace(fit, shared_noise_reasons=shared_noise_reasons(fit.solver, used))
 
 
 def resolve_all(
@@ -155,9 +162,10 @@ def solve_without_effects(fit: AttitudeFit, effects: Mapping[int, FloatArray]) -
     segments = [fit.solver.segments[k] for k in numbers]
     recordings = [fit.solver.recording_of_segment[k] for k in numbers]
     known_effects = [effects[k] for k in numbers]
-    return _solve_segments(
+    repeated = _solve_segments(
         segments, recordings, DEFAULT_BAND_HZ, known_effects, fit.resolved, fit.rounding_std_rad_s
     )
+    return replace(repeated, shared_noise_reasons=fit.shared_noise_reasons)
 
 
 def _solve_segments(

@@ -16,7 +16,6 @@ from gyrorig_solver.estimate.attitude.attitude_fit import (
     solve_attitude,
 )
 from gyrorig_solver.estimate.attitude.attitude_solver import AttitudeSolver
-from gyrorig_solver.estimate.attitude.shared_noise import shared_noise_reasons
 from gyrorig_solver.estimate.fit_summary import FitOutcome, build_gyro_fit
 from gyrorig_solver.estimate.gyro_fit import FitDiagnostics, GyroFit, RecordingFit
 from gyrorig_solver.estimate.information import PARAMETER_NAMES, add_parameter_noise
@@ -110,7 +109,7 @@ def build_outcome(
             *_warnings([outcome.reference for outcome in fit.resolved]),
             *(remark for outcome in fit.resolved for remark in outcome.remarks),
         ),
-        refused_reasons=shared_noise_reasons(solver, [samples for samples, _ in recordings]),
+        refused_reasons=fit.shared_noise_reasons,
         limited_reasons=(
             *(() if solver.converged else (_NOT_CONVERGED,)),
             *bands.limited_reasons,
