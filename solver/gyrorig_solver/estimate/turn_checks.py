@@ -4,8 +4,8 @@ A person writes the sign, the angle and the section of each turn. A gain with ne
 fits turns with a wrong sign as well as the true gain fits the true turns, so that no residual
 shows the mistake.
 
-What to use when: `find_reversed_turns` and `describe_contradiction` for reasons against a result,
-`describe_cut_turns` for a remark.
+What to use when: `check_turn_unit` before a result, `find_reversed_turns` and
+`describe_contradiction` for reasons against it, `describe_cut_turns` for a remark.
 """
 
 from collections.abc import Sequence
@@ -13,7 +13,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from gyrorig_protocol.errors import InputError
 from gyrorig_solver.data import FloatArray
+from gyrorig_solver.estimate.attitude.time_shift import UNIT_RATIOS, UNIT_TOLERANCE
 
 OPPOSITE_COSINE = -0.5  # between stated and measured turn; permuted axes have about 0
 MAX_NAMED = 4  # turns in a message
@@ -50,6 +52,25 @@ class MeasuredTurn:
     def _along(self) -> float:
         """Return the measured turn in the stated direction, rad."""
         return float(self.rotation_rad @ self.axis) * float(np.sign(self.angle_rad))
+
+
+def check_turn_unit(turns: Sequence[MeasuredTurn]) -> None:
+    """Raise an error if the gyro turned 57.3 or 1/57.3 times as far as stated, in every turn.
+
+    Raises:
+        InputError: the unit of the rates is wrong; the error states both units.
+    """
+    angles_rad = np.abs([turn.angle_rad for turn in turns])
+    measured_rad = np.linalg.norm([turn.rotation_rad for turn in turns], axis=1)
+    for unit_ratio, written, stated in UNIT_RATIOS:
+        error = np.log(np.maximum(measured_rad, 1e-12) / (angles_rad * unit_ratio))
+        if np.all(np.abs(error) < UNIT_TOLERANCE):
+            raise InputError(
+                f"the gyro turned {unit_ratio:.3g} times as far as the stated turns, as if its "
+                f"rates are in {written} and the import stated {stated}",
+                "correct `unit` under `gyro` in the import map, and import again; if the unit is "
+                "right, correct `angle_deg` of the turns",
+            )
 
 
 def find_reversed_turns(turns: Sequence[MeasuredTurn], gain: FloatArray) -> str:

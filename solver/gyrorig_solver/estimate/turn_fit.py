@@ -39,6 +39,7 @@ from gyrorig_solver.estimate.parameter_layout import (
 from gyrorig_solver.estimate.rest_mean import RestMean, measure_rest
 from gyrorig_solver.estimate.turn_checks import (
     MeasuredTurn,
+    check_turn_unit,
     describe_contradiction,
     describe_cut_turns,
     find_reversed_turns,
@@ -80,7 +81,8 @@ def fit_turns(recordings: Sequence[tuple[GyroSamples, TurnReference]]) -> GyroFi
         The fit; it has no columns of G without a turn.
 
     Raises:
-        InputError: there is no turn or no rest, or they have no samples.
+        InputError: there is no turn or no rest, they have no samples, or the rates have a wrong
+            unit.
     """
     integrated_turns = [
         integrate_turn(k, samples, turn)
@@ -103,6 +105,7 @@ def fit_turns(recordings: Sequence[tuple[GyroSamples, TurnReference]]) -> GyroFi
             "add a recording of this board at rest",
         )
     solver = _TurnSolver(integrated_turns, rests)
+    check_turn_unit(solver.measured_turns())
     solver.run()
     reduced_chi2, degrees_of_freedom = solver.reduced_chi2()
     is_tested = degrees_of_freedom > 0
