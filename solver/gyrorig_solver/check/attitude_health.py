@@ -7,12 +7,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gyrorig_protocol.errors import InputError
+from gyrorig_protocol.errors import InputError, sentence
 from gyrorig_protocol.recording.recording import Recording
 from gyrorig_solver.data.samples import GyroSamples
-from gyrorig_solver.estimate import judge_conventions
+from gyrorig_solver.data.stream.gain_checks import check_gain
+from gyrorig_solver.estimate import judge_conventions, mirrored_gain
 from gyrorig_solver.pipeline.references.attitudes import attitude_reference, has_attitudes
-from gyrorig_solver.reference import MAX_BRIDGED_S
+from gyrorig_solver.reference import MAX_BRIDGED_S, AttitudeReference
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,6 +42,7 @@ class AttitudeHealth:
     readings: tuple[ReadingHealth, ...]  # the best one first
     is_decided: bool  # the gyro shows which reading is right, and it is the one as recorded
     motion_rad_s: float
+    mirror: str = ""  # which axes of the gyro are mirrored, and what to do
 
 
 def examine_attitudes(recording: Recording, samples: GyroSamples) -> AttitudeHealth | None:
@@ -83,6 +85,18 @@ def examine_attitudes(recording: Recording, samples: GyroSamples) -> AttitudeHea
         ),
         is_decided=judgement is not None and judgement.is_decided,
         motion_rad_s=0.0 if judgement is None else judgement.motion_rad_s,
+        mirror=_mirror_text(samples, reference),
+    )
+
+
+def _mirror_text(samples: GyroSamples, reference: AttitudeReference) -> str:
+    gain = mirrored_gain(samples, reference)
+    if gain is None:
+        return ""
+    link = samples.link
+    return " ".join(
+        f"{finding.seen_as}. {sentence(finding.remedy)}"
+        for finding in check_gain(gain, link=link)[0].findings
     )
 
 

@@ -92,6 +92,8 @@ def _board_messages(board: BoardHealth) -> Iterator[str]:
     yield from (
         f"of {name}, {finding.seen_as}. {sentence(finding.remedy)}" for finding in board.still_axes
     )
+    if board.attitudes is not None and board.attitudes.mirror:
+        yield f"of {name}, {board.attitudes.mirror}"
     # A saturated sample has the same remedy as the clipped axis that contains it.
     if board.saturated > 0 and all(axis.remedy != CLIPPING_REMEDY for axis in board.still_axes):
         yield f"{name} has {board.saturated} saturated samples. {sentence(CLIPPING_REMEDY)}"

@@ -16,7 +16,10 @@ What to use when:
   method of the paper.
 """
 
-from gyrorig_solver.estimate.attitude.attitude_conventions import judge_conventions
+from gyrorig_solver.estimate.attitude.attitude_conventions import (
+    judge_conventions,
+    mirrored_gain,
+)
 from gyrorig_solver.estimate.attitude.attitude_projector import AttitudeProjector
 from gyrorig_solver.estimate.attitude.attitude_summary import fit_attitude
 from gyrorig_solver.estimate.cascade import total_effect
@@ -145,6 +148,7 @@ __all__ = [
     "judge_conventions",
     "marginalise",
     "mean_duration_s",
+    "mirrored_gain",
     "nominal_levels",
     "propagate_to_factors",
     "reference_cost",

@@ -7,7 +7,8 @@ equivalent to a wrong direction of the map together with turned axes, because an
 the components of a quaternion is a conjugation between two fixed rotations. So among the readings
 with equal residuals, the one with the smallest rotation of the mount is the likely one.
 
-What to use when: `judge_conventions` for the residuals, `check_convention` before a fit.
+What to use when: `judge_conventions` for the residuals, `check_convention` before a fit,
+`mirrored_gain` for the axes of the gyro.
 """
 
 from collections.abc import Sequence
@@ -221,21 +222,34 @@ def check_convention(samples: GyroSamples, reference: AttitudeReference) -> str:
     return ""
 
 
+def mirrored_gain(samples: GyroSamples, reference: AttitudeReference) -> FloatArray | None:
+    """Return the gyro's gain if its axes are a mirror image of those of the reference, (3, 3).
+
+    The gain is that of least squares on mean rates, with an error of some percent. None: the axes
+    are not mirrored, or the motion about one of them is too small to show it.
+    """
+    segments = match_segments(samples, reference)
+    if not segments:
+        return None
+    rate, gyro = _mean_rates(segments)
+    is_used = np.ones(len(rate), dtype=np.bool_)
+    gain = np.eye(3)
+    for _ in range(3):
+        gain = np.linalg.lstsq(rate[is_used], gyro[is_used], rcond=None)[0].T
+        residual = np.linalg.norm(gyro - rate @ gain.T, axis=1)
+        is_used = residual <= np.quantile(residual, 1.0 - TRIMMED_SHARE)
+    smallest = np.linalg.svd(rate[is_used], compute_uv=False)[-1] / np.sqrt(np.sum(is_used))
+    error, motion = (float(np.sqrt(np.mean(each[is_used] ** 2))) for each in (residual, gyro))
+    is_shown = smallest > MIN_MOTION_RAD_S and error < MAX_EXPLAINED_SHARE * motion
+    return gain if is_shown and np.linalg.det(gain) < 0.0 else None
+
+
 def _residual(segments: Sequence[AttitudeSegment]) -> tuple[float, float, float]:
     """Return the rms of the gyro's rates after the best rotation, their rms, and the angle.
 
     The angle is that of the rotation. A bias is removed too.
     """
-    lag_s = coarse_lag_s(segments)
-    rates, measured = [], []
-    for segment in segments:
-        group = max(1, round(MEAN_S / segment.track.step_s))
-        count = segment.track.begin_s.size // group
-        if count:
-            rates.append(_group_means(segment.track.rate_rad_s, group, count))
-            measured.append(_group_means(segment.mean_rate(lag_s)[0], group, count))
-    rate, gyro = np.concatenate(rates), np.concatenate(measured)
-    rate, gyro = rate - np.median(rate, axis=0), gyro - np.median(gyro, axis=0)
+    rate, gyro = _mean_rates(segments)
     is_used = np.ones(len(rate), dtype=np.bool_)
     residual, mount = np.zeros(len(rate)), np.eye(3)
     for _ in range(3):
@@ -250,6 +264,20 @@ def _residual(segments: Sequence[AttitudeSegment]) -> tuple[float, float, float]
     angle_rad = float(np.arccos(np.clip((np.trace(mount) - 1.0) / 2.0, -1.0, 1.0)))
     residual_rms = float(np.sqrt(np.mean(residual[is_used] ** 2)))
     return residual_rms, float(np.sqrt(np.mean(motion**2))), angle_rad
+
+
+def _mean_rates(segments: Sequence[AttitudeSegment]) -> tuple[FloatArray, FloatArray]:
+    """Return the mean rates of reference and gyro without their medians, (n, 3) each."""
+    lag_s = coarse_lag_s(segments)
+    rates, measured = [], []
+    for segment in segments:
+        group = max(1, round(MEAN_S / segment.track.step_s))
+        count = segment.track.begin_s.size // group
+        if count:
+            rates.append(_group_means(segment.track.rate_rad_s, group, count))
+            measured.append(_group_means(segment.mean_rate(lag_s)[0], group, count))
+    rate, gyro = np.concatenate(rates), np.concatenate(measured)
+    return rate - np.median(rate, axis=0), gyro - np.median(gyro, axis=0)
 
 
 def _group_means(values: FloatArray, group: int, count: int) -> FloatArray:
