@@ -28,6 +28,11 @@ MIN_SECOND_DISTANCE_S = 2.0  # lags farther than this from the best are a second
 MAX_SECOND_SHARE = 0.9  # largest correlation of a second solution, relative to the best
 MIN_SPEED_CHANGE_RAD_S = 0.02  # rms speed change below which a window determines no lag
 MAX_SKEW = 2e-3  # crystals are good to 1e-4, ceramic resonators to 1e-3
+# Of times that the log states wrongly, if the motions do not agree: the largest difference in
+# speed, the time at its ends by which two tested speeds differ, and the length that is compared.
+MAX_WRONG_SKEW, SKEW_STEP_S, COMPARED_S = 0.06, 0.2, 300.0
+# Of 120 simulated other motions, the largest correlation at any of these speeds is 0.85.
+MIN_STRETCHED_CORRELATION = 0.9
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,7 +66,14 @@ def find_phone_clock(
     """
     unit = np.nan_to_num(unit_speed_rad_s)
     phone = np.interp(np.arange(0.0, since_first_s[-1], GRID_S), since_first_s, speed_rad_s)
-    lag, correlation = _find_lag(phone, unit)
+    lag, correlation = _best_lag(phone, unit)
+    if correlation < MIN_CORRELATION:
+        _check_clock_speed(phone, unit)
+        raise InputError(
+            "the phone did not move together with the pan-tilt unit: the correlation of their "
+            f"rates is only {correlation:.2f}",
+            "give the recording that was made at the same time as the phone's log",
+        )
     offset_s, skew = lag * GRID_S, 0.0
     grid_s = np.arange(unit.size) * GRID_S
     for _ in range(ITERATIONS):
@@ -81,17 +93,42 @@ def find_phone_clock(
         offset_s -= float(fit[0])
         skew -= float(fit[1]) * (1.0 + skew)
     if abs(skew) > MAX_SKEW:
-        raise InputError(
-            "the rates of the phone's clock and of the rig's clock differ by "
-            f"{1e6 * skew:+.0f} ppm, which is too much for a clock",
-            "check the time column of the log, or record the log with another app",
-        )
+        raise _wrong_speed(f"{1e6 * skew:+.0f} ppm")
     std = np.sqrt(np.diag(cov))
     return PhoneClock(offset_s, skew, float(std[0]), float(std[1]), correlation, int(late_s.size))
 
 
-def _find_lag(phone: FloatArray, unit: FloatArray) -> tuple[int, float]:
-    """Return the lag of largest correlation in grid steps, and that correlation."""
+def _wrong_speed(difference: str) -> InputError:
+    return InputError(
+        f"the rates of the phone's clock and of the rig's clock differ by {difference}, which is "
+        "too much for a clock",
+        "check the time column of the log, or record the log with another app",
+    )
+
+
+def _check_clock_speed(phone: FloatArray, unit: FloatArray) -> None:
+    """Raise an error if the motions agree after a change of the phone's speed of time.
+
+    Raises:
+        InputError: the clock of the phone runs at a wrong speed.
+    """
+    part = phone[: int(COMPARED_S / GRID_S)]
+    steps = round(MAX_WRONG_SKEW * part.size * GRID_S / SKEW_STEP_S)
+    best = (0.0, 0.0)
+    for skew in MAX_WRONG_SKEW * np.arange(-steps, steps + 1) / max(steps, 1):
+        at = np.arange(0.0, (part.size - 1) * (1.0 + skew)) / (1.0 + skew)
+        stretched = np.interp(at, np.arange(part.size), part)
+        best = max(best, (_best_lag(stretched, unit)[1], float(skew)))
+    if best[0] > MIN_STRETCHED_CORRELATION:
+        raise _wrong_speed(f"about {100.0 * best[1]:+.1f} %")
+
+
+def _best_lag(phone: FloatArray, unit: FloatArray) -> tuple[int, float]:
+    """Return the lag of largest correlation in grid steps, and that correlation.
+
+    Raises:
+        InputError: one of them did not move, or the motion repeats itself.
+    """
     a, b = phone - phone.mean(), unit - unit.mean()
     size = 1 << int(np.ceil(np.log2(a.size + b.size)))
     cross = np.fft.irfft(np.fft.rfft(b, size) * np.conj(np.fft.rfft(a, size)), size)
@@ -103,20 +140,14 @@ def _find_lag(phone: FloatArray, unit: FloatArray) -> tuple[int, float]:
             "record a motion in which the unit moves the phone",
         )
     best = int(np.argmax(cross))
-    lag = best if best < size // 2 else best - size
+    lag = best if best < b.size else best - size
     near = int(MIN_SECOND_DISTANCE_S / GRID_S)
     others = cross.copy()
     others[np.arange(best - near, best + near + 1) % size] = -np.inf
     overlap_a, overlap_b = _overlap(a, b, lag)
     norm = float(np.linalg.norm(overlap_a) * np.linalg.norm(overlap_b))
     correlation = float(overlap_a @ overlap_b) / max(norm, 1e-30)
-    if correlation < MIN_CORRELATION:
-        raise InputError(
-            "the phone did not move together with the pan-tilt unit: the correlation of their "
-            f"rates is only {correlation:.2f}",
-            "give the recording that was made at the same time as the phone's log",
-        )
-    if others.max() > MAX_SECOND_SHARE * cross[best]:
+    if correlation > MIN_CORRELATION and others.max() > MAX_SECOND_SHARE * cross[best]:
         raise InputError(
             "the motion repeats itself, so the program cannot determine at which time of the "
             "unit's recording the phone's log began",

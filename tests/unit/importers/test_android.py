@@ -147,6 +147,24 @@ def test_a_clock_from_the_motion() -> None:
     assert abs(result.capture_s(since_s) - capture_s).max() < 2e-3
 
 
+def test_a_short_log_can_begin_late() -> None:
+    """Before, a log in the last third of the unit's recording raised a ValueError."""
+    unit = speeds(np.arange(0.0, 120.0, GRID_S))
+    since_s = np.arange(0.0, 38.5, 0.005)
+    assert abs(find_phone_clock(since_s, speeds(82.2 + since_s), unit).offset_s - 82.2) < 2e-3
+
+
+@pytest.mark.parametrize(
+    ("speed", "text"), [(1.02, r"\+2\.0 %"), (0.98, r"-2\.0 %"), (1.005, "ppm")]
+)
+def test_a_clock_of_a_wrong_speed_is_named(speed: float, text: str) -> None:
+    """Before, with 2 %: "the phone did not move together with the pan-tilt unit"."""
+    unit = speeds(np.arange(0.0, 120.0, GRID_S))
+    since_s = np.arange(0.0, 90.0, 0.005)
+    with pytest.raises(InputError, match=f"clock and of the rig's clock differ by .*{text}"):
+        find_phone_clock(since_s, speeds(17.0 + speed * since_s), unit)
+
+
 def test_different_and_periodic_motions_are_rejected() -> None:
     unit = speeds(np.arange(0.0, 120.0, GRID_S))
     since_s = np.arange(0.0, 90.0, 0.01)
