@@ -28,11 +28,12 @@ from gyrorig_solver.model.catalogue import catalogue
 VERDICT_TITLES = {"good": "Good", "limited": "Limited", "refused": "Refused"}
 REDUCED_CHI2_LIMIT = 1.25  # above it a fit to a motion is limited, see `estimate.motion_fit`
 
-# The next step, for a terminal; the report has a section for it.
+# The next step, for a terminal; the report has a section for it. It is the same for a file, whose
+# reader may have no board: the lines marked ! name a new recording where there can be one.
 _NEXT_STEPS = {
     "good": "use it with `gyrorig apply` or `gyrorig export`, and read the report.",
-    "limited": "follow the lines marked !, record again and solve both recordings together.",
-    "refused": "follow the lines marked ! and record again.",
+    "limited": "follow the lines marked !, and solve this recording together with another one.",
+    "refused": "follow the lines marked !, and solve again.",
 }
 
 
@@ -42,7 +43,7 @@ def verdict_sentence(calibration: CalibrationDocument) -> str:
     if verdict == "refused" and calibration.solver.method == "paper":
         return "Do not use this calibration. It is the result of the paper's method as printed."
     if verdict == "refused":
-        return "Do not use this calibration. Fix the problems below and record again."
+        return "Do not use this calibration. Fix the problems below and solve again."
     if verdict == "limited" and observability.unobservable:
         return (
             "Some parameters could not be determined. The other values are valid; read the "

@@ -72,6 +72,7 @@ def test_solve_states_why(tmp_path: Path, capsys: pytest.CaptureFixture[str]) ->
     out = capsys.readouterr().out
     assert "version 1: refused" in out
     assert f"! {REASON}" in out
+    assert "record again" not in out
 
 
 def noise_of(kind: str, rate_hz: float, noise_rad_s: float, count: int, seed: int) -> FloatArray:

@@ -33,7 +33,7 @@ HELD_OUT_WINDOW_S = 10.0
 BIASES, TIME_OFFSET = range(9, 12), 12  # in `PARAMETER_NAMES`
 _NOT_CONVERGED = (
     "the fit did not converge; check that the board and the attitudes were recorded together with "
-    "one clock, and record again"
+    "one clock, or use another recording"
 )
 REASON_TEXTS = {
     "x": "the board hardly turned about its x axis; turn the board about all three axes",
