@@ -233,9 +233,10 @@ def mirrored_gain(samples: GyroSamples, reference: AttitudeReference) -> FloatAr
         return None
     rate, gyro = _mean_rates(segments)
     is_used = np.ones(len(rate), dtype=np.bool_)
-    gain = np.eye(3)
+    gain: FloatArray = np.eye(3)
     for _ in range(3):
-        gain = np.linalg.lstsq(rate[is_used], gyro[is_used], rcond=None)[0].T
+        solution = np.linalg.lstsq(rate[is_used], gyro[is_used], rcond=None)[0]
+        gain = np.asarray(solution.T, dtype=np.float64)
         residual = np.linalg.norm(gyro - rate @ gain.T, axis=1)
         is_used = residual <= np.quantile(residual, 1.0 - TRIMMED_SHARE)
     smallest = np.linalg.svd(rate[is_used], compute_uv=False)[-1] / np.sqrt(np.sum(is_used))

@@ -16,8 +16,6 @@ from itertools import pairwise
 
 import numpy as np
 from scipy.fft import dct, idct
-from scipy.ndimage import uniform_filter1d
-from scipy.signal.windows import tukey
 from scipy.spatial.transform import Rotation
 
 from gyrorig_solver.data import BoolArray, FloatArray
@@ -233,11 +231,10 @@ def _gyro_noise(
         if reference_hz > used_hz:
             return unknown  # the motion could hide a smaller noise at all of these frequencies
         is_tested = np.ones_like(is_tested)
-    motion_ratio = uniform_filter1d(spectrum**2, CHUNK, axis=0, mode="nearest") / (
-        per_step * lowest
-    )
+    ratios = np.mean(spectrum**2 / (per_step * lowest), axis=1)
+    motion_ratio = np.convolve(ratios, np.full(CHUNK, 1.0 / CHUNK), mode="same")
     frequency_hz = step_hz * np.arange(len(measured))
-    is_motion = (motion_ratio.mean(axis=1) > MIN_MOTION_RATIO) & (frequency_hz > MIN_FIT_HZ)
+    is_motion = (motion_ratio > MIN_MOTION_RATIO) & (frequency_hz > MIN_FIT_HZ)
     calm = int(np.argmin(np.sum(_part_powers(measured - bias_rad_s), axis=1)))
     part_powers = _part_powers(_band_series(spectrum, is_quiet))
     # The noise of rounded samples is smaller at rest, where they do not change.
@@ -272,8 +269,11 @@ def _spectrum(series: FloatArray) -> FloatArray:
 
     Without a window, a motion at the begin or the end of the series has power at all frequencies.
     """
-    window = tukey(len(series), 2.0 / TIME_PARTS).reshape(-1, *[1] * (series.ndim - 1))
-    return np.asarray(dct(series * window, axis=0, norm="ortho"), dtype=np.float64)
+    count = len(series)
+    from_end = np.minimum(np.arange(count), np.arange(count)[::-1]) * (TIME_PARTS / count)
+    window = 0.5 - 0.5 * np.cos(np.pi * np.minimum(from_end, 1.0))  # Tukey's
+    shape = (-1, *[1] * (series.ndim - 1))
+    return np.asarray(dct(series * window.reshape(shape), axis=0, norm="ortho"), dtype=np.float64)
 
 
 def _chunk_powers(coefficients: FloatArray) -> FloatArray:
