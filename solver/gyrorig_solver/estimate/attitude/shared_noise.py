@@ -40,6 +40,8 @@ MAX_TESTED_RATIO = 8.0  # to the noise, of a chunk with little motion
 MIN_CALM_SHARE = 0.5
 TIME_PARTS = 20  # the window rises in the first one and falls in the last one
 MAX_SAMPLES = 1 << 15
+MAX_INTEGRAL_SAMPLES = 1 << 17
+MAX_INTEGRAL_SHARE = 0.1  # of the gyro's power; without shared noise the share is at least 1
 # Frequencies for the fit of gain and bias. Noise alone would decrease the gain, and below the
 # lowest frequency the estimate of a bias by a filter changes.
 MIN_MOTION_RATIO = 100.0  # of the gyro's power over its noise
@@ -118,6 +120,8 @@ def shared_noise_reasons(
     if lengths[longest] <= MIN_CHUNKS * CHUNK:
         return ()
     gyro, reference = recordings[solver.recording_of_segment[longest]]
+    if _is_integral(solver, longest, gyro):
+        return (SHARED_NOISE,)
     segment = solver.segments[longest]
     count = min(segment.track.begin_s.size, MAX_SAMPLES // _parts(segment, gyro.period_s))
     measured = segment.mean_rate(solver.lag_s_of(longest))[0][:count]
@@ -131,6 +135,29 @@ def shared_noise_reasons(
         directions.append(upward)
     least_share = min(difference.least_share(each, noise) for each in directions)
     return (SHARED_NOISE,) if least_share < MAX_RESIDUAL_SHARE else ()
+
+
+def _is_integral(solver: AttitudeSolver, number: int, samples: GyroSamples) -> bool:
+    """Return whether the residual is far smaller than the gyro's rate at every frequency.
+
+    Attitudes without corrections show this also if a motion hides most of the noise. Only the lower
+    half of the frequencies is used, because of the interpolation between the samples.
+    """
+    cleaned, track = solver.clean_segment(number), solver.segments[number].track
+    if len(cleaned.measured) // 2 <= MIN_CHUNKS * CHUNK:
+        return False
+    gyro, residual = (
+        _chunk_powers(dct(series, axis=0, norm="ortho")[: len(series) // 2])
+        for series in (cleaned.measured, cleaned.residual)
+    )
+    longest = max(samples.contiguous_slices(1), key=lambda rows: rows.stop - rows.start)
+    rows = slice(longest.start, min(longest.stop, longest.start + MAX_INTEGRAL_SAMPLES))
+    powers = _chunk_powers(dct(samples.gyro.values(rows), axis=0, norm="ortho"))
+    white = powers.min(axis=0) if len(powers) else np.zeros(3)
+    per_step = min(samples.period_s / track.step_s, 1.0)
+    is_quiet = gyro.min(axis=0) < MAX_QUIET_RATIO * per_step * white
+    is_repeated = np.max(residual / np.maximum(gyro, 1e-30), axis=0) < MAX_INTEGRAL_SHARE
+    return bool(np.all(is_quiet & is_repeated))
 
 
 def _parts(segment: AttitudeSegment, period_s: float) -> int:
