@@ -71,8 +71,8 @@ def read_replay(path: Path) -> ReplaySource:
     text = next((a.data for a in recording.attachments if a.name == PROGRAM_NAME), b"")
     settings = _program_settings(text)
     rad_per_step = _rad_per_step(recording, orders)
-    # An emulated unit needs 3 s for each of these settings, as a real one does. If the recorded unit
-    # was faster and got them within the program, they would delay its first move.
+    # An emulated unit needs 3 s for each of these settings, as a real one does. Within the program
+    # of a faster unit, they would delay its first move.
     before = [o for o in orders if o.request_ns < first_move_ns and o.order.kind in _SETTINGS]
     orders = [o for o in orders if o not in before]
     motion = RecordedMotion(

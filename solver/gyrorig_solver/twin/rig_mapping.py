@@ -126,7 +126,7 @@ def _nominal_odr_hz(board: TwinBoard) -> int:
 
 
 def _unit(rig: Mapping[str, Any], recording: Recording) -> dict[str, Any]:
-    """Return the entry of the unit; its baud rate is that of the recording if no rig file has it."""
+    """Return the entry of the unit, with the recorded baud rate if no rig file has it."""
     unit = rig.get("ptu")
     values = {k: v for k, v in unit.items() if k in UNIT_KEYS} if isinstance(unit, dict) else {}
     stated = recording.metadata.get("gyrorig.ptu", {}).get("baud", "")
