@@ -9,7 +9,7 @@ What to use when: `find_speed_jumps` for times and sizes; `angle_of_jumps` for t
 angle on the grid; `jump_responses` for their signal in the block means.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -153,7 +153,45 @@ def jump_responses(state: SignalState, axis: int, jumps: SpeedJumps) -> FloatArr
 
     The rate is size x delta'(t - time) about the axis, after the sensor's low-pass.
     """
-    time_s, size_rad_s = jumps.time_s, jumps.size_rad_s
+    return _responses(
+        state,
+        axis,
+        jumps.time_s,
+        jumps.size_rad_s,
+        lambda x, omega: omega**2 * np.exp(-x) * (np.cos(x) - np.sin(x)),
+    )
+
+
+def pulse_response(state: SignalState, axis: int, time_s: float) -> FloatArray:
+    """Return the change of the block means by a pulse of 1 rad about an axis, (blocks, 3).
+
+    The rate is delta(t - time) about the axis, after the sensor's low-pass.
+    """
+    return _responses(
+        state,
+        axis,
+        np.array([time_s]),
+        np.ones(1),
+        lambda x, omega: np.sqrt(2.0) * omega * np.exp(-x) * np.sin(x),
+    )
+
+
+def _responses(
+    state: SignalState,
+    axis: int,
+    time_s: FloatArray,
+    sizes: FloatArray,
+    response_at: Callable[[FloatArray, float], FloatArray],
+) -> FloatArray:
+    """Return the block means of responses of the low-pass about an axis, (blocks, 3).
+
+    Args:
+        state: the signal.
+        axis: 0 pan, 1 tilt.
+        time_s: the begin of each response, (k,).
+        sizes: of the responses, (k,).
+        response_at: the response per size at a phase in rad, for the angular cut-off frequency.
+    """
     signal = np.zeros((state.used_instants.size, 3))
     if state.low_pass is None:
         return state.block_means(signal)
@@ -171,6 +209,6 @@ def jump_responses(state: SignalState, axis: int, jumps: SpeedJumps) -> FloatArr
     stop = np.searchsorted(sampling_times_s, time_s + reach_s)
     for k, (begin, end) in enumerate(zip(first.tolist(), stop.tolist(), strict=True)):
         x = (sampling_times_s[begin:end] - time_s[k]) * (omega / np.sqrt(2.0))
-        response = size_rad_s[k] * omega**2 * np.exp(-x) * (np.cos(x) - np.sin(x))
+        response = sizes[k] * response_at(x, omega)
         signal[begin:end] += response[:, None] * sensor_direction[k]
     return state.block_means(signal)

@@ -16,8 +16,7 @@ from gyrorig_solver.model import find_term
 
 RATE_HZ, BANDWIDTH_HZ = 200.0, 50.0
 LOST_RAD = 0.0144  # 16 half steps of pan
-MAX_ERROR = 0.01  # a fit finds the time and the size, so that only an error of the form remains
-SHIFTS_S = np.arange(-1e-3, 1.01e-3, 5e-5)
+MAX_ERROR = 1e-3  # on the grid, the form has an error of 5 to 30 %
 
 
 @pytest.fixture(scope="module")
@@ -58,9 +57,5 @@ def test_blocks_have_the_mean_of_their_samples(session: SessionFit, phase: float
     tilt_rad = session.reference.angles_rad(np.array([event_s]))[1, 0]  # type: ignore[attr-defined]
     direction = np.array([0.0, np.sin(tilt_rad), np.cos(tilt_rad)])
     expected = -LOST_RAD * response[:, None] * direction
-    errors = []
-    for shift_s in SHIFTS_S:
-        effect = find_term("lost_steps").effect(state, np.array([LOST_RAD, 0.0, event_s + shift_s]))
-        scale = np.vdot(effect[blocks], expected) / np.vdot(effect[blocks], effect[blocks])
-        errors.append(np.linalg.norm(scale * effect[blocks] - expected))
-    assert min(errors) < MAX_ERROR * np.linalg.norm(expected)
+    effect = find_term("lost_steps").effect(state, np.array([LOST_RAD, 0.0, event_s]))
+    assert np.linalg.norm(effect[blocks] - expected) < MAX_ERROR * np.linalg.norm(expected)

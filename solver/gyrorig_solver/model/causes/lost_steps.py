@@ -4,9 +4,11 @@ angle - s from the event on, all at once. The rotor falls back by whole cycles o
 0.411 deg on a PTU-E46-17.5 (0.1029 deg per full step). High speed, acceleration or load, and low
 move power or supply voltage cause it. The rate has one short pulse, and every later angle is wrong.
 
-The low-pass determines the length of the pulse, so the search must try every time. The template
-bank contains a limited number of times. `pulse_templates` has the signal of every time, which the
-search correlates with a residual; the search starts at the best of these times.
+The pulse is shorter than an interval of the grid, so that the effect contains the response of the
+low-pass in closed form. The low-pass determines the length of the pulse in the samples, so the
+search must try every time. The template bank contains a limited number of times. `pulse_templates`
+has the signal of every time, which the search correlates with a residual; the search starts at the
+best of these times.
 """
 
 import numpy as np
@@ -14,6 +16,7 @@ import numpy as np
 from gyrorig_solver.data import FloatArray
 from gyrorig_solver.model.signal_arrays import zero_signals
 from gyrorig_solver.model.signal_state import SignalState
+from gyrorig_solver.model.speed_jumps import pulse_response
 from gyrorig_solver.model.term import EVENT_TIME, PulseTemplates, size_parameter
 from gyrorig_solver.model.term_kinds import LinearAngleTerm, scan_grid
 from gyrorig_solver.model.value_format import DEG, PAN_TILT, format_list
@@ -102,6 +105,34 @@ class LostSteps(LinearAngleTerm):
         "angles"
     )
 
+    def effect(self, state: SignalState, values: FloatArray) -> FloatArray:
+        """Return the change of the measured rate, (blocks, 3)."""
+        return super().effect(state, values) + self.off_grid_effect(state, values)
+
+    def off_grid_effect(self, state: SignalState, values: FloatArray) -> FloatArray:
+        """Return the exact form of the pulse minus that on the grid, (blocks, 3)."""
+        effect = zero_signals(state.block_count)
+        for axis in np.flatnonzero(values[:2]):
+            effect += values[axis] * self._off_grid_signal(state, int(axis), float(values[2]))
+        return effect
+
+    def _effect_difference(
+        self, state: SignalState, upper: FloatArray, lower: FloatArray
+    ) -> FloatArray:
+        """Return the difference of two effects, (blocks, 3)."""
+        off_grid = self.off_grid_effect(state, upper) - self.off_grid_effect(state, lower)
+        return super()._effect_difference(state, upper, lower) + off_grid
+
+    def _off_grid_signal(self, state: SignalState, axis: int, event_s: float) -> FloatArray:
+        """Return the pulse of a loss of 1 rad minus that on the grid, (blocks, 3)."""
+        k = self._event_interval(state, event_s)
+        if state.low_pass is None or not 1 <= k < state.interval_count - 2:
+            return zero_signals(state.block_count)
+        tilt_rad = float(np.interp(event_s, state.edges_s, state.angle_rad[1]))
+        direction = [0.0, np.sin(tilt_rad), np.cos(tilt_rad)] if axis == 0 else [1.0, 0.0, 0.0]
+        pulse = np.outer(self._pulse_weights(state, k, event_s) / state.step_s, direction)
+        return _measure_pulse(state, k - 1, pulse) - pulse_response(state, axis, event_s)
+
     def angle_shapes(self, state: SignalState, values: FloatArray) -> list[tuple[int, FloatArray]]:
         """Return minus the step at the event."""
         k = self._event_interval(state, float(values[2]))
@@ -132,9 +163,11 @@ class LostSteps(LinearAngleTerm):
             angle_loss = np.cumsum([0.0, *self._pulse_weights(state, k, float(values[2]))])
             pulse = state.axis_turn.rate(0, -angle_loss, slice(k - 1, k + 3))
             signals[0] = _measure_pulse(state, k - 1, pulse)
+            signals[0] += self._off_grid_signal(state, 0, float(values[2]))
         if state.moving[1, k]:
             shape = self.angle_shapes(state, values)[1][1]
             signals[1] = state.measure_stage_rate(state.stage_rate_derivative(1, shape))
+            signals[1] += self._off_grid_signal(state, 1, float(values[2]))
         return signals
 
     def jacobian(self, state: SignalState, values: FloatArray) -> FloatArray:
@@ -144,6 +177,8 @@ class LostSteps(LinearAngleTerm):
             state.stage_rate_derivative(axis, s) for axis, s in self.angle_shapes(state, values)
         ]
         jacobian[:2] = state.measure_stage_rate(np.stack(rates))
+        for axis in (0, 1):
+            jacobian[axis] += self._off_grid_signal(state, axis, float(values[2]))
         if values[:2].any():
             jacobian[2] = self._finite_difference(state, values, 2)
         return jacobian
