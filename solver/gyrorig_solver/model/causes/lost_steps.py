@@ -153,7 +153,8 @@ class LostSteps(LinearAngleTerm):
     def tangent_signals(self, state: SignalState, values: FloatArray) -> FloatArray:
         """Return the derivatives by the sizes, zero for an axis at rest at the event.
 
-        On pan it is a pulse, which is fast to compute. On tilt, the remaining lean is included.
+        On pan it is a pulse, which is fast to compute. On tilt, the remaining lean is included. The
+        form of the pulse is that on the grid: a search scans times that are not exact.
         """
         signals = zero_signals(2, state.block_count)
         k = self._event_interval(state, float(values[2]))
@@ -163,11 +164,9 @@ class LostSteps(LinearAngleTerm):
             angle_loss = np.cumsum([0.0, *self._pulse_weights(state, k, float(values[2]))])
             pulse = state.axis_turn.rate(0, -angle_loss, slice(k - 1, k + 3))
             signals[0] = _measure_pulse(state, k - 1, pulse)
-            signals[0] += self._off_grid_signal(state, 0, float(values[2]))
         if state.moving[1, k]:
             shape = self.angle_shapes(state, values)[1][1]
             signals[1] = state.measure_stage_rate(state.stage_rate_derivative(1, shape))
-            signals[1] += self._off_grid_signal(state, 1, float(values[2]))
         return signals
 
     def jacobian(self, state: SignalState, values: FloatArray) -> FloatArray:
