@@ -171,8 +171,7 @@ class Term(ABC):
     is_always_present: bool = False  # only its size is unknown: it is tried before all others
     template_search: TemplateSearch = "grid"
     holds_shapes: bool = False  # a fit is not smooth in the shapes: they are found like an event
-    can_recur: bool = False  # it can happen several times in one recording, each with its values
-    occurrence: int = 1  # the number of this one among them
+    occurrence: int = 1  # the number of an event among those of one kind in a recording
     equivalent_causes: tuple[str, ...] = ()  # the same function on one of its axes
     first_order_equivalent: str = ""  # the cause that replaces it in the first scan
     scale_follows_temperature: bool = False  # its size is a change of the scale factor per kelvin
@@ -226,8 +225,8 @@ class Term(ABC):
         return self.part == "ptu"
 
     @property
-    def is_single_event(self) -> bool:
-        """Whether it happens once, at a time that is a value of its fit."""
+    def is_event(self) -> bool:
+        """Whether it happens at a time that is a value of its fit; it can happen again."""
         roles = {parameter.role for parameter in self.parameters}
         return "event" in roles and "shape" not in roles
 

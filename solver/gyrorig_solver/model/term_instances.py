@@ -109,7 +109,7 @@ def occurrence_after(term: Term, labels: Set[str]) -> Term | None:
     """Return the first occurrence of a cause whose label is not in a set; None if there is none."""
     if term_label(term) not in labels:
         return term
-    for occurrence in range(2, MAX_OCCURRENCES + 1) if term.can_recur else ():
+    for occurrence in range(2, MAX_OCCURRENCES + 1) if term.is_event else ():
         later = copy(term)
         later.occurrence = occurrence
         if term_label(later) not in labels:

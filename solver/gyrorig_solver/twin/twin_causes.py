@@ -82,7 +82,7 @@ def _recording_of(entry: CauseEntry, recordings: Sequence[str]) -> str | None:
 
     Findings of one recording do not name it, but a single event is not in any other recording.
     """
-    if len(recordings) == 1 and catalogue()[entry.cause].is_single_event:
+    if len(recordings) == 1 and catalogue()[entry.cause].is_event:
         return recordings[0]
     return entry.recording
 

@@ -23,7 +23,6 @@ class BiasStep(LinearTerm):
     part = "sensor"
     stage = "bias"
     scope = "recording"
-    can_recur = True
     parameters = (
         size_parameter("step", "rad/s", XYZ, typical=0.03, limit=25.0, prior_std=2.0, factor=DEG),
         EVENT_TIME,

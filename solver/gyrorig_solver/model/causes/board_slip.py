@@ -26,7 +26,6 @@ class BoardSlip(NonlinearTerm):
     part = "mount"
     stage = "mount"
     scope = "recording"
-    can_recur = True
     parameters = (
         size_parameter("turn", "rad", XYZ, typical=0.3, limit=10.0, prior_std=2.0, factor=DEG),
         EVENT_TIME,

@@ -24,7 +24,6 @@ class ClockStep(TimeTerm):
     title = "A clock stepped"
     equation = "true time = t - step for t >= time"
     scope = "recording"
-    can_recur = True
     parameters = (
         TermParameter("step", "s", typical_size=2e-3, lower=-1.0, upper=1.0, prior_std=0.1),
         EVENT_TIME,

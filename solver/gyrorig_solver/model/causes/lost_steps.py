@@ -84,7 +84,6 @@ class LostSteps(LinearAngleTerm):
     equation = "angle = angle - angle lost for t >= time"
     stage = "rotor"
     scope = "recording"
-    can_recur = True
     parameters = (
         size_parameter(
             "angle", "rad", PAN_TILT, typical=0.411, limit=10.0, prior_std=2.0, factor=DEG
