@@ -6,10 +6,12 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from selenium.common.exceptions import WebDriverException
 from tests.bench.pictures import LOOKS, opened, reports
 
 pytestmark = pytest.mark.pages
 VERDICTS = ("Good", "Limited", "Refused", "Problem found", "Not fully explained")
+PRINT_ATTEMPTS = 3
 LEAST_CONTRAST = 4.5  # WCAG 2.2, 1.4.3, of text in normal size
 
 
@@ -104,8 +106,7 @@ def test_every_text_has_enough_contrast(
 def test_report_can_be_printed(browser: Any, pages: dict[str, Path], verdict: str) -> None:
     """A page printed in dark mode is dark on white, on a few sheets."""
     opened(browser, pages[verdict], "dark")
-    printed = browser.execute_cdp_cmd("Page.printToPDF", {"paperWidth": 8.27, "paperHeight": 11.69})
-    paper = base64.b64decode(printed["data"])
+    paper = print_page(browser)
     assert paper.startswith(b"%PDF-")
     assert 1 <= paper.count(b"/Type /Page\n") <= 12
     media = {"media": "print", "features": [{"name": "prefers-color-scheme", "value": "dark"}]}
@@ -115,6 +116,22 @@ def test_report_can_be_printed(browser: Any, pages: dict[str, Path], verdict: st
     )
     browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": ""})
     assert mean_lightness(shot) > 200.0
+
+
+def print_page(browser: Any) -> bytes:
+    """Return the page as a PDF on A4.
+
+    Chromium's print service now and then answers "Printing failed" on a busy computer (seen once
+    in some hundred runs; other projects report it too). Printing is tried again then.
+    """
+    size = {"paperWidth": 8.27, "paperHeight": 11.69}
+    for _ in range(PRINT_ATTEMPTS - 1):
+        try:
+            return base64.b64decode(browser.execute_cdp_cmd("Page.printToPDF", size)["data"])
+        except WebDriverException as error:
+            if "Printing failed" not in str(error):
+                raise
+    return base64.b64decode(browser.execute_cdp_cmd("Page.printToPDF", size)["data"])
 
 
 def mean_lightness(png: bytes) -> float:
