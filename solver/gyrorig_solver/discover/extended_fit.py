@@ -56,6 +56,7 @@ START_VALUES = (0.0, 1e-9)
 SCANNED_WIDTHS = np.geomspace(0.7, 1.7, 8)  # of a dead band, relative to the mean first width
 SCAN_EVALUATIONS = 15  # of each scanned fit
 MIN_EVENT_SHIFT_SIGMA = 0.1  # standard uncertainties; a smaller shift needs no refit of all causes
+MAX_EVENT_REFITS = 6  # a large event moves less each time: the others adapt to its time
 OBSERVABLE_SIGMA = 2.0  # standard deviations of an entry of the gain that the data determine
 SAME_CHANGE_SIGMA = 0.5  # standard deviations of each entry of two changes that count as one
 MAX_GAIN_CHANGE = 0.2  # a larger change of the gain means that the board is mounted another way
@@ -105,7 +106,21 @@ def refit_events(space: Space) -> Space:
     """Refit the time of each event together with all other causes.
 
     The search finds an event before other causes, while its effect still biases the base model.
-    Without a refit, later causes would absorb the error of the event time.
+    Without a refit, later causes would absorb the error of the event time. The fit of the other
+    causes and the times of the events alternate, until no time moves.
+    """
+    for _ in range(MAX_EVENT_REFITS):
+        refitted = _refit_events_once(space)
+        if refitted is space:
+            break
+        space = refitted
+    return space
+
+
+def _refit_events_once(space: Space) -> Space:
+    """Fit the time of each event with the others held, then all causes with these times.
+
+    Return the same fit if no time moves, or if the new fit does not converge.
     """
     causes = list(space.fitted_terms)
     changed = False

@@ -6,8 +6,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from tests.bench.accuracy.profile import RAD_PER_STEP
 from tests.support.board_fits import fit_base_model
 
+from gyrorig_solver.discover import explain_fit
 from gyrorig_solver.discover.candidate_fits import fit_best_place
 from gyrorig_solver.discover.candidate_objective import CandidateObjective
 from gyrorig_solver.discover.exact_fit import FittedCandidate, event_std, fit_candidate
@@ -79,3 +81,16 @@ def test_what_is_always_there_has_no_time(weighed: Callable[[str], FittedCandida
     place = weighed("backlash@tilt:0.0012")
     assert place.event_std is None
     assert np.isfinite(place.std).all()
+
+
+@pytest.mark.long
+def test_a_large_loss_is_fitted_until_its_time_stays(hidden: Callable[..., Any]) -> None:
+    """After two fits, the time was wrong by 13 of its standard uncertainties.
+
+    The search then named the low-pass as well, and the angle was 6 standard uncertainties wrong.
+    """
+    session = hidden("lost_steps@pan:16", seed=52, program="survey-40")
+    base = fit_base_model([session.recording], session.board)
+    (loss,) = explain_fit(base, session.board).findings.causes
+    angle_rad = float(loss.extension.values[0])
+    assert abs(angle_rad) == pytest.approx(16.0 * RAD_PER_STEP, abs=4.0 * loss.values[0].std)
