@@ -57,6 +57,7 @@ SCANNED_WIDTHS = np.geomspace(0.7, 1.7, 8)  # of a dead band, relative to the me
 SCAN_EVALUATIONS = 15  # of each scanned fit
 MIN_EVENT_SHIFT_SIGMA = 0.1  # standard uncertainties; a smaller shift needs no refit of all causes
 MAX_EVENT_REFITS = 6  # a large event moves less each time: the others adapt to its time
+MIN_EVENT_GAIN_NATS = 0.5  # of a refit; a smaller gain does not move a size by its uncertainty
 OBSERVABLE_SIGMA = 2.0  # standard deviations of an entry of the gain that the data determine
 SAME_CHANGE_SIGMA = 0.5  # standard deviations of each entry of two changes that count as one
 MAX_GAIN_CHANGE = 0.2  # a larger change of the gain means that the board is mounted another way
@@ -109,18 +110,27 @@ def refit_events(space: Space) -> Space:
     Without a refit, later causes would absorb the error of the event time. The fit of the other
     causes and the times of the events alternate, until no time moves.
     """
-    for _ in range(MAX_EVENT_REFITS):
-        refitted = _refit_events_once(space)
+    refitted = _refit_events_once(space, search_nearby=True)
+    if refitted is space:
+        return space
+    for _ in range(MAX_EVENT_REFITS - 1):
+        space, refitted = refitted, _refit_events_once(refitted, search_nearby=False)
         if refitted is space:
             break
-        space = refitted
+        before_nats, after_nats = refitted.log_likelihoods([space, refitted])
+        if after_nats < before_nats + MIN_EVENT_GAIN_NATS:
+            break
     return space
 
 
-def _refit_events_once(space: Space) -> Space:
+def _refit_events_once(space: Space, search_nearby: bool) -> Space:
     """Fit the time of each event with the others held, then all causes with these times.
 
     Return the same fit if no time moves, or if the new fit does not converge.
+
+    Args:
+        space: the fit.
+        search_nearby: also try times in the other parts of a move.
     """
     causes = list(space.fitted_terms)
     changed = False
@@ -132,7 +142,7 @@ def _refit_events_once(space: Space) -> Space:
             extension.term,
             fitted_place(extension),
             [extension.values],
-            search_event=True,
+            search_event=search_nearby,
         )
         if refitted is not None and not refitted.infeasible and _has_moved(extension, refitted):
             causes[k] = replace(extension, values=refitted.extension.values)

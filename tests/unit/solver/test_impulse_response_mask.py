@@ -1,5 +1,7 @@
 """Pulses of the rig told from glitches, made with another's low-pass (scipy's)."""
 
+from functools import cache
+
 import numpy as np
 import pytest
 from scipy import signal
@@ -8,6 +10,7 @@ from gyrorig_solver.estimate.noise.impulse_response_mask import axis_motions, im
 from gyrorig_solver.estimate.noise.outliers import find_outliers
 
 N, RATE_HZ, BANDWIDTH_HZ, SIGMA = 600, 100.0, 25.0, 0.0027
+JITTER_DRAWS = 100
 TIME_S = np.arange(N) / RATE_HZ
 PAN = np.clip(TIME_S - 1.0, 0.0, 3.0)  # turns from 1 to 4 s, starts and stops at once
 TILT = np.full(N, 0.4)
@@ -15,13 +18,19 @@ GAIN = np.array([[1.01, 0.02, -0.01], [0.0, 0.98, 0.03], [0.01, -0.02, 1.0]])
 PAN_SHOWS = GAIN @ [0.0, np.sin(0.4), np.cos(0.4)]
 
 
-def response(at_s: float, twice: bool = False) -> np.ndarray:
-    """A pulse of 1 rad (or two opposite ones) behind a second-order Butterworth, (n,)."""
+@cache
+def fine_response(twice: bool) -> tuple[np.ndarray, np.ndarray]:
+    """The times and values of a second-order Butterworth's response to one pulse, or to two."""
     b, a = signal.butter(2, 2 * np.pi * BANDWIDTH_HZ, analog=True)
     fine = np.arange(0.0, 0.3, 1e-5)
     step = signal.step((b, a), T=fine)[1]
-    rate = np.gradient(np.gradient(step, fine) if twice else step, fine)
-    return np.interp(TIME_S - at_s, fine, rate, left=0.0, right=0.0)
+    return fine, np.gradient(np.gradient(step, fine) if twice else step, fine)
+
+
+def response(at_s: float, twice: bool = False, jitter_s: float = 0.0, seed: int = 0) -> np.ndarray:
+    """A pulse of 1 rad (or two opposite ones) behind a low-pass, in samples with jitter, (n,)."""
+    taken_s = TIME_S + jitter_s * np.random.default_rng(seed).standard_normal(N)
+    return np.interp(taken_s - at_s, *fine_response(twice), left=0.0, right=0.0)
 
 
 def usable_rows(left: np.ndarray) -> np.ndarray:
@@ -38,6 +47,16 @@ def usable_rows(left: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize("lost", [9e-4, -0.0072])
 def test_lost_step_is_kept(at_s: float, lost: float) -> None:
     assert usable_rows(lost * np.outer(response(at_s), PAN_SHOWS)).any()
+
+
+def test_lost_steps_in_samples_with_jitter_are_kept() -> None:
+    """The jitter leaves up to 0.018 of the energy of a pulse."""
+    times_s = np.random.default_rng(5).uniform(1.4, 2.9, JITTER_DRAWS)
+    kept = [
+        usable_rows(0.0072 * np.outer(response(at_s, jitter_s=9e-4, seed=k), PAN_SHOWS)).any()
+        for k, at_s in enumerate(times_s)
+    ]
+    assert all(kept)
 
 
 def test_base_compliance_pulse_is_kept() -> None:
