@@ -14,7 +14,7 @@ What to use when: `unidentified_causes` for a projector; `whitened_effects` for 
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -40,13 +40,15 @@ EVENT_TEMPLATES, SHAPE_TEMPLATES = 3, 2
 
 @dataclass(frozen=True, slots=True, eq=False)
 class UnidentifiedCause:
-    """A cause with a prior size, of which a fit has not identified some or all sizes."""
+    """A cause with a prior size, of which a fit has not identified some or all sizes.
+
+    If the fit has identified one of its sizes, the cause is present: its probability is 1.
+    """
 
     term: Term
     prior: PriorSize
     positions: tuple[int, ...]  # of the sizes that were not fitted, among all its sizes
     templates: FloatArray  # (b, k)
-    is_present: bool = False  # a size of it was fitted
 
     @property
     def places(self) -> tuple[str | None, ...]:
@@ -92,7 +94,8 @@ def unidentified_causes(
             templates = prior_templates(term, projector.states, prior)
             if positions and len(templates):  # a motor at rest loses no steps
                 is_present = len(positions) < len(sizes)
-                causes.append(UnidentifiedCause(term, prior, positions, templates, is_present))
+                known = replace(prior, probability=1.0) if is_present else prior
+                causes.append(UnidentifiedCause(term, known, positions, templates))
     return causes
 
 

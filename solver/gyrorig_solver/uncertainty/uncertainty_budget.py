@@ -299,12 +299,11 @@ def _presence(causes: Sequence[UnidentifiedCause]) -> tuple[IntArray, FloatArray
     """Return the cause of each signal, each cause's probability, and the signals' scale.
 
     A signal is in units of the root mean square over absence and presence. Times its scale it is in
-    units of the standard deviation if present. A cause of which a size was fitted is present.
+    units of the standard deviation if present.
     """
-    prior = np.array([cause.prior.probability for cause in causes])
-    is_present = np.array([cause.is_present for cause in causes])
+    probability = np.array([cause.prior.probability for cause in causes])
     cause = np.repeat(np.arange(len(causes)), [cause.signal_count for cause in causes])
-    return cause, np.where(is_present, 1.0, prior), 1.0 / np.sqrt(prior[cause])
+    return cause, probability, 1.0 / np.sqrt(probability[cause])
 
 
 def _corrected_budget(

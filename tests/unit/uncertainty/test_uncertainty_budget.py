@@ -3,7 +3,6 @@
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
 
 import numpy as np
 import pytest
@@ -35,7 +34,6 @@ from gyrorig_solver.uncertainty import (
     uncertainty_budget,
 )
 from gyrorig_solver.uncertainty.prior_effects import (
-    UnidentifiedCause,
     unidentified_causes,
     whitened_effects,
 )
@@ -173,11 +171,13 @@ def test_fitted_sizes_take_no_part(leaning: Session) -> None:
         term = backlash.term
         free_indices = np.array([0, 2])
 
-    (left,) = unidentified_causes(projector, (Fitted(),), only(backlash=1e-3))  # type: ignore[arg-type]
+    rare = replace(only(), prior_sizes=MappingProxyType({"backlash": PriorSize(1e-3, 0.02)}))
+    (left,) = unidentified_causes(projector, (Fitted(),), rare)  # type: ignore[arg-type]
+    (unfitted,) = unidentified_causes(projector, (), rare)
     assert set(left.places) == {"tilt"}
-    assert left.is_present  # a unit with backlash of pan has the cause
-    (unfitted,) = unidentified_causes(projector, (), only(backlash=1e-3))
-    assert not unfitted.is_present
+    # A unit with backlash of pan has the cause.
+    assert left.prior.std == pytest.approx(unfitted.prior.size)
+    assert unfitted.prior.std == pytest.approx(unfitted.prior.size * 0.02**0.5)
 
 
 @pytest.mark.long
@@ -297,23 +297,6 @@ def test_a_clock_step_leaves_the_time_offset_open_by_its_size(leaning: Session) 
     assert (largest.cause, largest.std[index]) == ("clock_step", pytest.approx(8.8e-3))
     others = np.arange(len(CALIBRATION_PARAMETERS)) != index
     assert np.all(largest.std[others] == 0.0)
-
-
-def test_the_other_sizes_of_a_fitted_cause_are_certain(
-    leaning: Session, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """The interval is that of a cause with probability one, whatever its prior probability."""
-
-    def present_causes(*words: Any) -> list[UnidentifiedCause]:
-        return [replace(cause, is_present=True) for cause in unidentified_causes(*words)]
-
-    certain = assess_uncertainty(leaning.fit, only(**KNOWN_CAUSES)).expanded_uncertainty(
-        NOISE, 0.95
-    )
-    monkeypatch.setattr(uncertainty_budget, "unidentified_causes", present_causes)
-    rare = with_probability("tilt_zero", 0.02)
-    present = assess_uncertainty(leaning.fit, rare).expanded_uncertainty(NOISE, 0.95)
-    assert present == pytest.approx(certain, rel=1e-6, abs=1e-12)
 
 
 def test_a_clock_skew_leaves_the_time_offset_open_by_half_of_its_drift(leaning: Session) -> None:
