@@ -115,6 +115,19 @@ def test_steps_are_lost_in_moves_only(rig: Any) -> None:
     assert not term.tangent_signals(scene, np.array([0.0, 0.0, 4.9]))[1].any()
 
 
+@pytest.mark.parametrize("axis", [0, 1])
+def test_steps_can_be_lost_shortly_before_the_predicted_start(rig: Any, axis: int) -> None:
+    """A motor with an S-curve of 40 ms starts 20 ms before the start that a ramp would have."""
+    scene = rig.scene
+    start_s = float(scene.time_s[np.argmax(scene.moving[axis])])
+    pulses = pulse_templates(scene)
+    times_s = pulses.time_s[pulses.axis == axis]
+    assert ((times_s > start_s - 0.03) & (times_s < start_s - 0.01)).any()
+    assert not (times_s < start_s - 0.05).any()
+    early = np.array([0.0, 0.0, start_s - 0.02])
+    assert find_term("lost_steps").tangent_signals(scene, early)[axis].any()
+
+
 @pytest.mark.parametrize("lead", [0, 40])
 def test_pulse_templates_match_the_effect(rig: Any, lead: int) -> None:
     whole = rig.scene
