@@ -82,15 +82,16 @@ def stage_motion(
         lean_rad: small rotation of the base about its x and y axes, shape (2,).
     """
     edges_s = tracks.edges_s
-    angles = []
-    for axis, name in enumerate(AXES):
-        steps = tracks.turned[axis] - _lost_steps(tracks, axis, causes, span_s)
-        angles.append(_through_gears(steps * RAD_PER_STEP, name, causes))
-    pan, tilt = angles
+    lost_rad = [_lost_steps(tracks, axis, causes, span_s) * RAD_PER_STEP for axis in (0, 1)]
+    pan, tilt = (
+        _through_gears(turned * RAD_PER_STEP - lost, name, causes)
+        for turned, lost, name in zip(tracks.turned, lost_rad, AXES, strict=True)
+    )
     tilt = tilt + causes.get("tilt_sag") * np.sin(tilt + causes.get("tilt_sag", "phase"))
     tilt = tilt + causes.get("tilt_zero")
     pan, tilt = (
-        _structure(a, name, causes, edges_s) for a, name in zip((pan, tilt), AXES, strict=True)
+        _structure(angle, lost, name, causes, edges_s)
+        for angle, lost, name in zip((pan, tilt), lost_rad, AXES, strict=True)
     )
     middle_s = (edges_s[1:] + edges_s[:-1]) / 2.0
     rate = stage_rate(edges_s, pan, tilt, causes.get("axis_nonorthogonality"))
@@ -192,14 +193,18 @@ def play(angle: FloatArray, gap: float) -> FloatArray:
 
 
 def _structure(
-    angle: FloatArray, name: str, causes: HiddenCauses, edges_s: FloatArray
+    angle: FloatArray, lost_rad: FloatArray, name: str, causes: HiddenCauses, edges_s: FloatArray
 ) -> FloatArray:
-    """Return the angle of the stage on an elastic base with a resonance."""
+    """Return the angle of the stage on an elastic base with a resonance.
+
+    The base twists with the acceleration of the motion. A loss of steps lasts one cell, and no base
+    follows it.
+    """
     compliance, share = causes.get("base_compliance", name), causes.get("ringing", name)
     cell_s = float(edges_s[1] - edges_s[0])
     out = angle
     if compliance:
-        rate = np.diff(angle) / cell_s
+        rate = np.diff(angle + lost_rad) / cell_s
         change = np.diff(rate, prepend=0.0, append=0.0) / cell_s
         out = out - compliance * change
     if share:
