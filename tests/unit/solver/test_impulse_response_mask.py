@@ -30,7 +30,8 @@ def fine_response(twice: bool) -> tuple[np.ndarray, np.ndarray]:
 def response(at_s: float, twice: bool = False, jitter_s: float = 0.0, seed: int = 0) -> np.ndarray:
     """A pulse of 1 rad (or two opposite ones) behind a low-pass, in samples with jitter, (n,)."""
     taken_s = TIME_S + jitter_s * np.random.default_rng(seed).standard_normal(N)
-    return np.interp(taken_s - at_s, *fine_response(twice), left=0.0, right=0.0)
+    times_s, values = fine_response(twice)
+    return np.asarray(np.interp(taken_s - at_s, times_s, values, left=0.0, right=0.0))
 
 
 def usable_rows(left: np.ndarray) -> np.ndarray:
@@ -52,11 +53,11 @@ def test_lost_step_is_kept(at_s: float, lost: float) -> None:
 def test_lost_steps_in_samples_with_jitter_are_kept() -> None:
     """The jitter leaves up to 0.018 of the energy of a pulse."""
     times_s = np.random.default_rng(5).uniform(1.4, 2.9, JITTER_DRAWS)
-    kept = [
+    is_kept = [
         usable_rows(0.0072 * np.outer(response(at_s, jitter_s=9e-4, seed=k), PAN_SHOWS)).any()
         for k, at_s in enumerate(times_s)
     ]
-    assert all(kept)
+    assert all(is_kept)
 
 
 def test_base_compliance_pulse_is_kept() -> None:
