@@ -10,7 +10,7 @@ Source of the evidence: as in `exact_fit`.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Generic
 
 import numpy as np
@@ -26,6 +26,8 @@ from gyrorig_solver.model import Term, value_indices, value_parameters
 
 # A fit ends if it has not converged after these evaluations and predicts less gain than it needs.
 FIRST_EVALUATIONS = 12
+START_FACTORS = (1.0, 3.0)  # typical sizes, from which a fit starts if it failed from zero
+SCAN_EVALUATIONS = 2  # of the fit from each of them, before the best is chosen
 OPTIMUM_FACTOR = 3.0  # upper bound of the best optimum's gain, relative to the optimum found
 MIN_OPTIMUM_NATS = 10.0  # smallest gain of the optimum found that the bound assumes
 OUTLIER_NATS = 0.5 * OUTLIER_SIGMA**2  # log-likelihood that a rejected sample costs
@@ -61,6 +63,8 @@ def fit_law_cause(
     other_terms = space.fitted_terms if others is None else others
     extended = space.refit([*other_terms, free_term(term)], FIRST_EVALUATIONS)
     if not extended.convergence.converged:
+        extended = _fit_from_larger_start(space, other_terms, term, extended)
+    if not extended.convergence.converged:
         reached = judge_law_cause(extended, len(other_terms), space).delta_log_likelihood
         if reached + extended.convergence.remaining_nats < needed_nats:
             return LawCandidate(extended, None)
@@ -83,6 +87,36 @@ def fit_law_cause(
             alone = judge_law_cause(restricted, len(other_terms), space, place)
             best = max(best, (restricted, alone), key=lambda pair: pair[1].log_evidence)
     return LawCandidate(*best)
+
+
+def _fit_from_larger_start(
+    space: Space, others: Sequence[FittedTerm], term: Term, failed: Space
+) -> Space:
+    """Return the fit from the best of some larger sizes, or the failed fit if that is better.
+
+    Without the cause, the moves begin and end at wrong times, and the likelihood can decrease from
+    a size of zero to the optimum. A size with a sign has no such range between.
+
+    Args:
+        space: the present fit.
+        others: the other causes of the new fit.
+        term: the cause.
+        failed: the fit that started without an effect of the cause.
+    """
+    start, parameters = free_term(term), value_parameters(term)
+    if any(parameters[k].lower < 0.0 for k in start.free_indices):
+        return failed
+    fits = [failed]
+    for factor in START_FACTORS:
+        values = start.values.copy()
+        values[start.free_indices] = [
+            min(factor * parameters[k].typical_size, parameters[k].upper)
+            for k in start.free_indices
+        ]
+        fits.append(space.refit([*others, replace(start, values=values)], SCAN_EVALUATIONS))
+    nats = space.log_likelihoods(fits) - OUTLIER_NATS * np.array([fit.outliers for fit in fits])
+    best = fits[int(np.argmax(nats))]
+    return best if best is failed else best.refit(best.fitted_terms, FIRST_EVALUATIONS)
 
 
 def largest_evidence(judged: FittedCandidate, outliers: int, replaced_nats: float) -> float:
