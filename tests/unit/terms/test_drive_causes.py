@@ -124,6 +124,9 @@ def test_steps_can_be_lost_shortly_before_the_predicted_start(rig: Any, axis: in
     times_s = pulses.time_s[pulses.axis == axis]
     assert ((times_s > start_s - 0.03) & (times_s < start_s - 0.01)).any()
     assert not (times_s < start_s - 0.05).any()
+    rests = np.flatnonzero(np.diff(scene.moving[axis].astype(np.int64)) < 0) + 1
+    end_s = float(scene.time_s[rests[0]])
+    assert not ((times_s > end_s + 0.002) & (times_s < end_s + 0.03)).any()
     early = np.array([0.0, 0.0, start_s - 0.02])
     assert find_term("lost_steps").tangent_signals(scene, early)[axis].any()
 

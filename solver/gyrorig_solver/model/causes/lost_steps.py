@@ -23,9 +23,10 @@ from gyrorig_solver.model.value_format import DEG, PAN_TILT, format_list
 
 SCAN_SPACING_S = 0.02  # of the times in the bank; about the width of a pulse
 MAX_SCAN_TIMES = 2000
-# Before a search has found the motion law, such as an S-curve, a move begins and ends this much
-# earlier or later than its prediction.
-MOVE_MARGIN_S = 0.04
+# Before a search has found the motion law, such as an S-curve, a move can begin this much earlier
+# than its prediction. After a move, the noise of the motor passes the low-pass and looks like a
+# small loss in the quiet of a rest.
+START_MARGIN_S = 0.04
 
 
 def pulse_templates(state: SignalState, times_per_block: int = 2) -> PulseTemplates:
@@ -58,7 +59,7 @@ def pulse_templates(state: SignalState, times_per_block: int = 2) -> PulseTempla
     axis_templates = []
     for axis in (0, 1):
         intervals = np.arange(lead_intervals, state.interval_count, stride)
-        is_possible = _near_moves(state, axis) & state.motion_known
+        is_possible = _turning_soon(state, axis) & state.motion_known
         intervals = intervals[is_possible[intervals]]
         first_blocks = (intervals - lead_intervals) // intervals_per_block
         intervals = intervals[first_blocks + pulse_blocks <= state.block_count]
@@ -80,17 +81,17 @@ def pulse_templates(state: SignalState, times_per_block: int = 2) -> PulseTempla
     return PulseTemplates(time_s, axis_index, all_first_blocks, values)
 
 
-def _near_moves(state: SignalState, axis: int) -> BoolArray:
+def _turning_soon(state: SignalState, axis: int) -> BoolArray:
     """Return when an axis turns, or can turn if its motion law is not known, (n,)."""
-    margin = round(MOVE_MARGIN_S / state.step_s)
-    total = np.concatenate([[0], np.cumsum(np.pad(state.moving[axis], margin))])
-    return np.asarray(total[2 * margin + 1 :] > total[: -2 * margin - 1], dtype=np.bool_)
+    margin = round(START_MARGIN_S / state.step_s)
+    total = np.concatenate([[0], np.cumsum(np.pad(state.moving[axis], (0, margin)))])
+    return np.asarray(total[margin + 1 :] > total[: -margin - 1], dtype=np.bool_)
 
 
-def _is_near_move(state: SignalState, axis: int, k: int) -> bool:
+def _turns_soon(state: SignalState, axis: int, k: int) -> bool:
     """Return the same for one interval."""
-    margin = round(MOVE_MARGIN_S / state.step_s)
-    return bool(state.moving[axis, max(0, k - margin) : k + margin + 1].any())
+    margin = round(START_MARGIN_S / state.step_s)
+    return bool(state.moving[axis, k : k + margin + 1].any())
 
 
 class LostSteps(LinearAngleTerm):
@@ -176,12 +177,12 @@ class LostSteps(LinearAngleTerm):
         k = self._event_interval(state, float(values[2]))
         if not 1 <= k < state.interval_count - 2:
             return signals
-        near_pan, near_tilt = (_is_near_move(state, axis, k) for axis in (0, 1))
-        if near_pan:
+        pan_turns, tilt_turns = (_turns_soon(state, axis, k) for axis in (0, 1))
+        if pan_turns:
             angle_loss = np.cumsum([0.0, *self._pulse_weights(state, k, float(values[2]))])
             pulse = state.axis_turn.rate(0, -angle_loss, slice(k - 1, k + 3))
             signals[0] = _measure_pulse(state, k - 1, pulse)
-        if near_tilt:
+        if tilt_turns:
             shape = self.angle_shapes(state, values)[1][1]
             signals[1] = state.measure_stage_rate(state.stage_rate_derivative(1, shape))
         return signals
