@@ -121,8 +121,8 @@ def test_report_can_be_printed(browser: Any, pages: dict[str, Path], verdict: st
 def print_page(browser: Any) -> bytes:
     """Return the page as a PDF on A4.
 
-    Chromium's print service now and then answers "Printing failed" on a busy computer (seen once
-    in some hundred runs; other projects report it too). Printing is tried again then.
+    Chromium's print service can answer "Printing failed" on a busy computer: once in CI, and in
+    reports of other projects. Printing is tried again then.
     """
     size = {"paperWidth": 8.27, "paperHeight": 11.69}
     for _ in range(PRINT_ATTEMPTS - 1):

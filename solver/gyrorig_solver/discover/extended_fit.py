@@ -108,7 +108,7 @@ def refit_events(space: Space) -> Space:
 
     The search finds an event before other causes, while its effect still biases the base model.
     Without a refit, later causes would absorb the error of the event time. The fit of the other
-    causes and the times of the events alternate, until no time moves.
+    causes and the times of the events alternate, until no time moves or the likelihood stays.
     """
     refitted = _refit_events_once(space, search_nearby=True)
     if refitted is space:

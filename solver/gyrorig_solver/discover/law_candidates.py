@@ -95,7 +95,7 @@ def _fit_from_larger_start(
     """Return the fit from the best of some larger sizes, or the failed fit if that is better.
 
     Without the cause, the moves begin and end at wrong times, and the likelihood can decrease from
-    a size of zero to the optimum. A size with a sign has no such range between.
+    a size of zero to the optimum. Only causes whose sizes cannot be negative have larger starts.
 
     Args:
         space: the present fit.

@@ -30,7 +30,7 @@ START_MARGIN_S = 0.04
 
 
 def pulse_templates(state: SignalState, times_per_block: int = 2) -> PulseTemplates:
-    """Return the templates of step losses during the moves of each axis.
+    """Return the templates of step losses in the moves of each axis and shortly before.
 
     They contain neither the remaining lean after a loss on tilt nor missing samples.
 
@@ -168,7 +168,7 @@ class LostSteps(LinearAngleTerm):
         return scan_grid(self, time=state.time_s[moving][::stride])
 
     def tangent_signals(self, state: SignalState, values: FloatArray) -> FloatArray:
-        """Return the derivatives by the sizes, zero for an axis at rest at the event.
+        """Return the derivatives by the sizes, zero for an axis that is at rest and stays so.
 
         On pan it is a pulse, which is fast to compute. On tilt, the remaining lean is included. The
         form of the pulse is that on the grid: a search scans times that are not exact.
