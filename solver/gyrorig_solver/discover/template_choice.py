@@ -2,7 +2,8 @@
 
 What to use when: `quick_templates` for a scan of the catalogue, `all_templates` for one cause. For
 lost steps, which are short, and for spectral lines, which are narrow, both return only the
-templates at peaks of the residual.
+templates at peaks of the residual. A pulse in missing samples, for example in saturated ones, has
+no peak. After a loss on tilt, the stage leans from then on, so that each such gap has a template.
 """
 
 import numpy as np
@@ -69,6 +70,7 @@ def all_templates(projection: NuisanceProjector, term: Term) -> tuple[FloatArray
 
 def _lost_step_templates(projection: NuisanceProjector, term: Term) -> tuple[FloatArray, int]:
     times, gains, scanned = [], [], 0
+    unseen: list[FloatArray] = []
     for scene, whitened_residual in zip(
         projection.states_before(term), projection.weighted_residual(), strict=True
     ):
@@ -78,9 +80,13 @@ def _lost_step_templates(projection: NuisanceProjector, term: Term) -> tuple[Flo
         span = candidates.first_block[:, None] + np.arange(candidates.values.shape[1])
         score = np.einsum("rmi,rmi->r", whitened_residual[span], candidates.values)
         energy = np.einsum("rmi,rmi->r", candidates.values, candidates.values)
-        times.append(scene.true_times_s(candidates.time_s))
+        time_s = scene.true_times_s(candidates.time_s)
+        times.append(time_s)
         gains.append(score**2 / np.maximum(energy, 1e-30))
         scanned += candidates.time_s.size
+        is_unseen = ~np.any(whitened_residual[span], axis=(1, 2))
+        leaves_lean = candidates.axis == 1  # tilt
+        unseen.append(_middles_of_runs(time_s[is_unseen & leaves_lean]))
     templates = np.tile(start_values(term), (MAX_PEAKS, 1))
     time_s, gain = np.concatenate(times), np.concatenate(gains)
     event = value_indices(term, role="event")[0]
@@ -90,7 +96,17 @@ def _lost_step_templates(projection: NuisanceProjector, term: Term) -> tuple[Flo
         templates[count, event] = time_s[best]
         keep = np.abs(time_s - time_s[best]) > MIN_SEPARATION_S
         time_s, gain, count = time_s[keep], gain[keep], count + 1
-    return templates[:count], max(1, scanned // PULSES_PER_TRIAL)
+    unseen_s = np.concatenate(unseen)
+    unseen_templates = np.tile(start_values(term), (unseen_s.size, 1))
+    unseen_templates[:, event] = unseen_s
+    chosen = np.concatenate([templates[:count], unseen_templates])
+    return chosen, max(1, scanned // PULSES_PER_TRIAL) + unseen_s.size
+
+
+def _middles_of_runs(time_s: FloatArray) -> FloatArray:
+    """Return the middle time of each run of ascending times without a large gap, shape (r,)."""
+    runs = np.split(time_s, np.flatnonzero(np.diff(time_s) > MIN_SEPARATION_S) + 1)
+    return np.array([run[run.size // 2] for run in runs if run.size])
 
 
 def _line_templates(projection: NuisanceProjector, term: Term) -> tuple[FloatArray, int]:

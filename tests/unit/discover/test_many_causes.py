@@ -73,3 +73,19 @@ def test_a_base_that_twists_behind_a_gap_has_both_names(tmp_path: Path) -> None:
     assert values["gap.pan"] == pytest.approx(gap_rad, rel=0.03)
     # A jump of the speed takes the emulated motor 2 % of the time constant of the low-pass.
     assert values["coefficient.pan"] == pytest.approx(compliance_s2, rel=0.04)
+
+
+def test_a_loss_of_steps_in_saturated_samples_is_not_called_a_slip_alone(tmp_path: Path) -> None:
+    """Only the lean of the stage after the loss is visible, as after a slip of the board."""
+    hide = (
+        InjectionRequest("lost_steps", "tilt", 8.0),
+        InjectionRequest("saturation", "x", 0.3),
+    )
+    path = tmp_path / "recording.mcap"
+    record(RigDraw(6, "survey-130", hide=hide), path)
+    (lost,) = [
+        cause
+        for cause in explain_recordings([read_recording(path)], BOARD).findings.causes
+        if cause.cause != "saturation"
+    ]
+    assert set(lost.candidates) == {"lost_steps", "board_slip"}
