@@ -1,10 +1,10 @@
 """Each cause of a fit compared with its alternatives, with all other causes fitted.
 
-What to use when: `review_ranking` at the end of a search, `rank_against_alternatives` for one
-cause.
+What to use when: `ranking_memory` in a search; `rank_causes` for all causes of a fit,
+`rank_against_alternatives` for one cause.
 """
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence, Set
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -17,13 +17,12 @@ from gyrorig_solver.discover.extended_fit import extend_fit
 from gyrorig_solver.discover.fit_space import FitSpace, Space
 from gyrorig_solver.discover.law_candidates import fit_law_cause, judge_law_cause
 from gyrorig_solver.discover.score_tests import FALSE_ALARM_RATE, scan_catalogue
-from gyrorig_solver.estimate import FittedTerm, NuisanceProjector
+from gyrorig_solver.estimate import NuisanceProjector
 from gyrorig_solver.model import Term, recording_index_of, term_label
 
 CREDIBLE_SET_LEVEL = 0.95  # probability that the stated set contains the cause
 # Prior probability that an effect in several recordings of one board has the same cause in each.
 SAME_CAUSE_BELIEF = 0.95
-MAX_SWAPS = 4  # replacements of named causes in one ranking
 MIN_EVIDENCE_LEAD_NATS = 1.0  # lead in log evidence by which a rival replaces a cause
 # Share of a cause's statistic that its form may leave unexplained: twice the 0.2 % that were
 # measured on sessions without noise.
@@ -140,50 +139,45 @@ def _rejection_reason(
     )
 
 
-def review_ranking(
+def rank_causes(
     space: Space,
     terms: Sequence[Term],
     tests: int,
-    considered: Mapping[str, set[str]],
-    is_acceptable: Callable[[Space], bool],
-) -> tuple[Space, tuple[RankedCause, ...]]:
-    """Rank each cause against its alternatives, and replace it by a better alternative.
+    considered: Mapping[str, Set[str]],
+    may_fit_laws: Callable[[], bool],
+) -> tuple[RankedCause, ...]:
+    """Rank each cause of a fit against its alternatives.
 
     Args:
         space: the fit at the end of a search.
         terms: the testable causes.
         tests: how many share the false alarms.
         considered: by label, the causes that were compared with a cause when it was found.
-        is_acceptable: whether a fit with a swapped cause may replace the other one.
+        may_fit_laws: whether the effort allows further fits of alternatives that change the law.
     """
-    for swap in range(MAX_SWAPS + 1):
-        ranked_causes: list[RankedCause] = []
-        replacement: tuple[int, FittedTerm] | None = None
-        shows_beside = _significance_beside(space, tests)
-        for k in space.free_causes:
-            term = space.fitted_terms[k].term
-            label = term_label(term)
-            labels = considered.get(label, set()) | confusable_labels(term, terms)
-            candidates = [
-                term,
-                *(other for other in terms if term_label(other) in labels - {label}),
-            ]
-            ranked_causes.append(
-                rank_against_alternatives(space, k, candidates, tests, shows_beside)
-            )
-        ranked_causes = [_with_other_recordings(ranked, ranked_causes) for ranked in ranked_causes]
-        for k, ranked in zip(space.free_causes, ranked_causes, strict=True):
-            if ranked.rivals and ranked.lead_nats(0) > MIN_EVIDENCE_LEAD_NATS:
-                replacement = k, ranked.rivals[0][0].extension
-                break
-        if replacement is None or swap == MAX_SWAPS:
-            break
-        k, other = replacement
-        swapped = extend_fit(space.refit(space.terms_without(k)), other)
-        if not is_acceptable(swapped):
-            break
-        space = swapped
-    return space, tuple(ranked_causes)
+    ranked_causes: list[RankedCause] = []
+    shows_beside = _significance_beside(space, tests)
+    for k in space.free_causes:
+        term = space.fitted_terms[k].term
+        label = term_label(term)
+        labels = considered.get(label, set()) | confusable_labels(term, terms)
+        candidates = [
+            term,
+            *(other for other in terms if term_label(other) in labels - {label}),
+        ]
+        ranked_causes.append(
+            rank_against_alternatives(space, k, candidates, tests, shows_beside, may_fit_laws)
+        )
+    return tuple(_with_other_recordings(ranked, ranked_causes) for ranked in ranked_causes)
+
+
+def swap_leading_rival(space: Space, ranked_causes: Sequence[RankedCause]) -> Space | None:
+    """Return the fit with the first better alternative in place of a cause; None without one."""
+    for k, ranked in zip(space.free_causes, ranked_causes, strict=True):
+        if ranked.rivals and ranked.lead_nats(0) > MIN_EVIDENCE_LEAD_NATS:
+            without = space.refit(space.terms_without(k))
+            return extend_fit(without, ranked.rivals[0][0].extension)
+    return None
 
 
 def _with_other_recordings(ranked: RankedCause, all_ranked: Sequence[RankedCause]) -> RankedCause:
@@ -259,6 +253,7 @@ def rank_against_alternatives(
     terms: Sequence[Term],
     tests: int,
     shows_beside: Callable[[Term], bool] = lambda _: True,
+    may_fit_laws: Callable[[], bool] = lambda: True,
 ) -> RankedCause:
     """Rank one cause of a fit against the alternatives in its place.
 
@@ -272,6 +267,7 @@ def rank_against_alternatives(
         terms: the alternatives, and the cause itself.
         tests: how many share the false alarms.
         shows_beside: whether a cause is significant in addition to all causes of the fit.
+        may_fit_laws: whether the effort allows further fits of alternatives that change the law.
     """
     extension = space.fitted_terms[k]
     others = space.terms_without(k)
@@ -301,7 +297,7 @@ def rank_against_alternatives(
 
     def fit_law(term: Term, needed_nats: float) -> FittedCandidate | None:
         label = term_label(term)
-        if label == own_label:
+        if label == own_label or not may_fit_laws():
             return None
         replaced_nats = 0.0
         if refitted is not None:

@@ -22,7 +22,7 @@ from gyrorig_solver.discover.candidate_fits import (
     is_lag_significant,
     leading_labels,
 )
-from gyrorig_solver.discover.cause_ranking import RankedCause, review_ranking
+from gyrorig_solver.discover.cause_ranking import RankedCause
 from gyrorig_solver.discover.clock_fault_comparison import compare_clock_faults
 from gyrorig_solver.discover.exact_fit import FittedCandidate
 from gyrorig_solver.discover.extended_fit import extend_fit, refit_events
@@ -31,7 +31,9 @@ from gyrorig_solver.discover.fitted_values import wald_p_value
 from gyrorig_solver.discover.held_out_gain import cross_validate_causes
 from gyrorig_solver.discover.law_candidates import fit_law_cause
 from gyrorig_solver.discover.model_evidence import best_model
+from gyrorig_solver.discover.ranking_memory import RankingMemory
 from gyrorig_solver.discover.score_tests import FALSE_ALARM_RATE, CandidateScore, scan_catalogue
+from gyrorig_solver.discover.search_limits import SearchLimits
 from gyrorig_solver.discover.search_memory import SearchMemory
 from gyrorig_solver.discover.testable_terms import count_tests, select_testable, terms_not_fitted
 from gyrorig_solver.estimate import NuisanceProjector
@@ -42,12 +44,6 @@ MAX_ROUNDS = 3  # of adding causes; the ranking after a round takes as long as t
 # Number of causes that are significant with typical noise levels only. If there are so many, the
 # bias has a random walk.
 MAX_NOISE_ALTERNATIVES = 3
-# Evaluations of the likelihood in all refits, without the final ranking. A search that needs more
-# tries to explain an effect that no cause explains.
-MAX_SEARCH_EVALUATIONS = 2000
-# Candidates whose fit did not converge. With a large misfit that no cause explains, the derivatives
-# are wrong, and most of the fits fail.
-MAX_FAILED_FITS = 12
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -100,8 +96,8 @@ class _Search(Generic[Space]):
         self._memory = SearchMemory(base)
         # Causes of the models to which none could be added.
         self._reviewed: list[frozenset[str]] = []
-        self._ranking: tuple[Space, Space, tuple[RankedCause, ...]] | None = None  # of a model
-        self._last_evaluation = base.effort.evaluations + MAX_SEARCH_EVALUATIONS
+        self._limits = SearchLimits(base.effort)
+        self._rankings = RankingMemory[Space](self._terms, self._tests, self._limits.may_rank_laws)
 
     def run(self) -> SearchResult[Space]:
         """Add, remove and replace causes until none is significant; return the ranked result.
@@ -166,10 +162,7 @@ class _Search(Generic[Space]):
 
     @property
     def _is_at_limit(self) -> bool:
-        return (
-            self._space.effort.evaluations >= self._last_evaluation
-            or self._memory.failed_fits >= MAX_FAILED_FITS
-        )
+        return self._limits.are_reached(self._memory)
 
     @property
     def _left_out(self) -> set[str]:
@@ -336,8 +329,13 @@ class _Search(Generic[Space]):
         return space
 
     def _ranked_result(self) -> SearchResult[Space]:
-        remarks = self._limit_remarks()
         space, ranked_causes = self._rank()
+        new_labels = [
+            term_label(fitted_term.term)
+            for fitted_term in space.fitted_terms
+            if fitted_term not in self._known_terms
+        ]
+        remarks = self._limits.remarks(self._memory, new_labels)
         if space is not self._space:
             space = space.confirm()
         keep = space is self._space and (not self._typical or space.has_typical_noise)
@@ -351,39 +349,12 @@ class _Search(Generic[Space]):
         )
 
     def _rank(self) -> tuple[Space, tuple[RankedCause, ...]]:
-        """Rank the causes of the model; return the last result if the model is the same."""
-        if self._ranking is None or self._ranking[0] is not self._space:
-            space, ranked_causes = review_ranking(
-                self._space,
-                self._terms,
-                self._tests,
-                self._considered,
-                lambda swapped: (
-                    swapped.convergence.converged
-                    and not _causes_without_gain(swapped)
-                    and not self._is_at_limit
-                ),
-            )
-            self._ranking = self._space, space, ranked_causes
-        return self._ranking[1:]
-
-    def _limit_remarks(self) -> tuple[str, ...]:
-        """Return the remark that the search stopped at its limit, with the causes so far."""
-        if not self._is_at_limit:
-            return ()
-        names = ", ".join(
-            term_label(fitted_term.term)
-            for fitted_term in self._space.fitted_terms
-            if fitted_term not in self._known_terms
-        )
-        limit = (
-            f"{MAX_FAILED_FITS} fits without convergence"
-            if self._memory.failed_fits >= MAX_FAILED_FITS
-            else f"{MAX_SEARCH_EVALUATIONS} evaluations of the likelihood"
-        )
-        return (
-            f"the search for causes stopped at its limit of {limit}; the causes that it had found "
-            f"are {names or 'none'}, and other causes are possible",
+        """Rank the causes of the model, and replace them by better alternatives."""
+        return self._rankings.review(
+            self._space,
+            self._considered,
+            lambda swapped: swapped.convergence.converged and not _causes_without_gain(swapped),
+            lambda: self._is_at_limit,
         )
 
 

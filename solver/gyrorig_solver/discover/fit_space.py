@@ -11,7 +11,7 @@ reference attitudes.
 import weakref
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Self, TypeVar
 
 from gyrorig_solver.data import FloatArray
@@ -24,8 +24,14 @@ from gyrorig_solver.estimate import (
     FittedTerm,
     NuisanceProjector,
     ObservabilityAnalysis,
+    SignalCount,
 )
 from gyrorig_solver.model import Term, term_label
+
+# Whitened signals of a candidate's fit that take as long as one evaluation of the likelihood with
+# its derivatives; measured.
+SIGNALS_PER_EVALUATION = 100
+Projector = TypeVar("Projector", bound=NuisanceProjector)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -40,14 +46,27 @@ class NoiseAlternative:
 
 @dataclass(slots=True)
 class SearchEffort:
-    """The effort of the refits of a search; common to all fits that start from one fit."""
+    """The effort of the fits of a search; common to all fits that start from one fit."""
 
-    evaluations: int = 0  # of the likelihood
+    samples: int = 0  # of all recordings, which one evaluation of the likelihood uses
+    refit_evaluations: int = 0  # of the likelihood
+    signal_count: SignalCount = field(default_factory=SignalCount)  # of fits of candidates
     _latest: "weakref.ref[FitSpace] | None" = None
 
+    @property
+    def evaluations(self) -> int:
+        """The evaluations of the likelihood that take as long as all fits so far."""
+        return self.refit_evaluations + self.signal_count.signals // SIGNALS_PER_EVALUATION
+
     def count(self, convergence: Convergence) -> None:
-        """Count a refit as at least one evaluation."""
-        self.evaluations += max(1, convergence.evaluations)
+        """Count the evaluations of all rounds of a refit."""
+        self.refit_evaluations += convergence.total_evaluations
+
+    def count_signals(self, projector: Projector) -> Projector:
+        """Count a projector as one evaluation, and from now on its signals; return it."""
+        self.refit_evaluations += 1
+        projector.signal_count = self.signal_count
+        return projector
 
     def add(self, space: "FitSpace") -> None:
         """Count a refit, and free the caches of the previous one.

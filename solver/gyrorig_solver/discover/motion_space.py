@@ -57,7 +57,9 @@ class MotionFitSpace(FitSpace):
 
     def __init__(self, solution: ConvergedFit, effort: SearchEffort | None = None) -> None:
         """Use a fit whose recordings have contexts; `effort`: of the search that made it."""
-        self.effort = SearchEffort() if effort is None else effort
+        series = [series for session in solution.sessions for series in session.series]
+        samples = sum(each.time_s.size for each in series)
+        self.effort = SearchEffort(samples) if effort is None else effort
         self.solution, self.terms = solution, catalogue()
         self.fitted_terms, self.convergence = solution.fitted_terms, solution.convergence
         self.observability, self.outliers = solution.observability, solution.outliers
@@ -67,12 +69,11 @@ class MotionFitSpace(FitSpace):
         contexts = (session.context for session in solution.sessions)
         self.recording_names = tuple("" if c is None else c.recording_name for c in contexts)
         self.offset_recording = solution.offset_recording
-        series = (series for session in solution.sessions for series in session.series)
         self.duration_s = float(sum(np.ptp(each.time_s) for each in series))
 
     def projector(self, typical: bool = False) -> NuisanceProjector:
         """Return the nuisance projector, with fitted or typical noise levels."""
-        return build_projector(self.solution, typical)
+        return self.effort.count_signals(build_projector(self.solution, typical))
 
     def projector_without(self, *dropped: int) -> NuisanceProjector:
         """Return the projector without some causes, with their effects added to the residual.
@@ -85,7 +86,7 @@ class MotionFitSpace(FitSpace):
             without = self.refit(others)
             if without.convergence.converged:
                 return without.projector()
-        return NuisanceProjector.at_fit(self.solution, others, removed)
+        return self.effort.count_signals(NuisanceProjector.at_fit(self.solution, others, removed))
 
     def refit(
         self, fitted_terms: Sequence[FittedTerm], max_evaluations: int = MAX_EVALUATIONS

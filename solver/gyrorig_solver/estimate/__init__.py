@@ -73,7 +73,7 @@ from gyrorig_solver.estimate.parameter_layout import (
     ParameterLayout,
 )
 from gyrorig_solver.estimate.sample_averaging import mean_duration_s
-from gyrorig_solver.estimate.segment_signals import SignalFunction
+from gyrorig_solver.estimate.segment_signals import SignalCount, SignalFunction
 from gyrorig_solver.estimate.series import Series, build_series, choose_grids
 from gyrorig_solver.estimate.session_fit import SessionFit
 from gyrorig_solver.estimate.shared_parameters import (
@@ -121,6 +121,7 @@ __all__ = [
     "ScoreStatistics",
     "Series",
     "SessionFit",
+    "SignalCount",
     "SignalFunction",
     "Spectrum",
     "TemperatureFit",

@@ -86,7 +86,9 @@ def refit_with_terms(
     if all(map(np.array_equal, used, solution.used_blocks())):
         return solution
     again = _fit_board(board, max_evaluations)
-    return again if again.converged else solution
+    best, other = (again, solution) if again.converged else (solution, again)
+    earlier = best.convergence.earlier_evaluations + other.convergence.total_evaluations
+    return replace(best, convergence=best.convergence.after(earlier))
 
 
 def _is_rough_optimum(fit: "LikelihoodFit", step: ProposedStep) -> bool:
@@ -147,8 +149,8 @@ def _fit_board(board: BoardFit, max_evaluations: int, always_renew: bool = False
         # Before convergence, a misfit can look like noise.
         if not convergence.converged or not board.update_motion_noise():
             break
-        fit = LikelihoodFit([board])
-        convergence = minimise(fit, max_evaluations, always_renew=always_renew)
+        fit, earlier = LikelihoodFit([board]), convergence.total_evaluations
+        convergence = minimise(fit, max_evaluations, always_renew=always_renew).after(earlier)
     return fit.solutions(convergence)[0]
 
 

@@ -5,6 +5,7 @@ What to use when: `evaluate_signals` for a function of a state, `term_derivative
 """
 
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.fft import dct, idct
@@ -18,6 +19,13 @@ from gyrorig_solver.estimate.whitened_signals import WhitenedSignals
 from gyrorig_solver.model import Signals, SignalState, Term, dense_signals, term_label
 
 SignalFunction = Callable[[SignalState], Signals]
+
+
+@dataclass(slots=True)
+class SignalCount:
+    """The number of signals that were whitened, for example in one search."""
+
+    signals: int = 0
 
 
 class SegmentSignals:
@@ -41,6 +49,7 @@ class SegmentSignals:
             for segment in segments
         ]
         self._cached_term = ""
+        self.signal_count = SignalCount()  # several projectors can share it
 
     @property
     def states(self) -> list[SignalState]:
@@ -54,6 +63,7 @@ class SegmentSignals:
 
     def whiten(self, signals: Sequence[Sequence[Signals]]) -> WhitenedSignals:
         """Return signals of each part of each series, whitened."""
+        self.signal_count.signals += len(signals[0][0])
         channels = [
             channel
             for segment, parts in zip(self.segments, signals, strict=True)
@@ -81,6 +91,7 @@ class SegmentSignals:
 
         The signals have single precision; `evaluate_signals` returns them in double precision.
         """
+        self.signal_count.signals += count
         whiteners = [SignalWhitener(segment, count, np.float32) for segment in self.segments]
         for function in functions:
             for whitener, parts in zip(

@@ -72,10 +72,20 @@ class Convergence:
     """The end of an iteration."""
 
     converged: bool
-    evaluations: int  # of the objective
+    evaluations: int  # of the objective, in the last round
     remaining_nats: float  # predicted decrease of one more full step
     moving: str = ""  # parameter with the largest last step; empty after convergence
     moving_sigma: float = 0.0  # that step in standard deviations
+    earlier_evaluations: int = 0  # of earlier rounds, with other noise levels or outliers
+
+    @property
+    def total_evaluations(self) -> int:
+        """The evaluations of all rounds; the first derivatives of a round count as one more."""
+        return self.earlier_evaluations + self.evaluations + 1
+
+    def after(self, earlier_evaluations: int) -> "Convergence":
+        """Return the end of the last round of a fit; the argument: of the rounds before it."""
+        return replace(self, earlier_evaluations=earlier_evaluations)
 
     @property
     def reason(self) -> str:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from tests.support.board_fits import fit_base_model
 
-from gyrorig_solver.discover import cause_search, explain_fit, motion_space
+from gyrorig_solver.discover import explain_fit, motion_space, search_limits
 from gyrorig_solver.discover.cause_search import search_causes
 from gyrorig_solver.discover.model_evidence import best_model
 from gyrorig_solver.discover.motion_space import MotionFitSpace
@@ -72,14 +72,14 @@ def test_a_search_stops_at_its_limit_and_says_so(
 ) -> None:
     whole = MotionFitSpace(base)
     assert not any("limit" in text for text in search_causes(whole).remarks)
-    assert 0 < whole.effort.evaluations < cause_search.MAX_SEARCH_EVALUATIONS / 10
-    monkeypatch.setattr(cause_search, "MAX_SEARCH_EVALUATIONS", 1)
+    assert 0 < whole.effort.evaluations < search_limits.MAX_SEARCH_EVALUATIONS / 10
+    monkeypatch.setattr(search_limits, "MAX_SEARCH_EVALUATIONS", 1)
     limited = search_causes(MotionFitSpace(base))
     assert limited.space.convergence.converged
     (remark,) = (text for text in limited.remarks if "limit" in text)
     assert "stopped at its limit of 1 evaluations" in remark
     assert "the causes that it had found are backlash" in remark
-    monkeypatch.setattr(cause_search, "MAX_SEARCH_EVALUATIONS", 0)
+    monkeypatch.setattr(search_limits, "MAX_SEARCH_EVALUATIONS", 0)
     (remark,) = search_causes(MotionFitSpace(base)).remarks
     assert "had found are none" in remark
 
@@ -91,7 +91,7 @@ def test_a_search_stops_when_too_many_fits_fail(
     monkeypatch.setattr(motion_space, "refit_with_terms", _refit_without_backlash)
     whole = MotionFitSpace(base)
     assert not any("limit" in text for text in search_causes(whole).remarks)
-    monkeypatch.setattr(cause_search, "MAX_FAILED_FITS", 1)
+    monkeypatch.setattr(search_limits, "MAX_FAILED_FITS", 1)
     limited = MotionFitSpace(base)
     (remark,) = (text for text in search_causes(limited).remarks if "limit" in text)
     assert "stopped at its limit of 1 fits without convergence" in remark
