@@ -123,14 +123,14 @@ class ChannelDerivatives:
             np.zeros(count),
         )
         for channel, (shared_index, pieces) in zip(signals.channels, self.channels, strict=True):
-            index, rows = channel.signal_index, channel.rows
+            index = channel.signal_index
             if not index.size:
                 continue
             dense = np.zeros((1 + shared_index.size, index.size))
             local = np.zeros((self.local_count, index.size))
             gram = np.zeros((index.size, index.size))
             for piece in pieces:
-                signal = np.asarray(rows[:, piece.columns], dtype=np.float64)
+                signal = channel.values(piece.columns)
                 part = piece.rows @ signal.T
                 dense += part[: len(dense)]
                 local[piece.local_index] += part[len(dense) :]

@@ -70,7 +70,7 @@ def nuisance_basis(
         ]
         column = int(start)
         for channel in segment.whiten(parts):
-            stop = column + channel.rows.shape[1]
+            stop = column + channel.length
             basis[row_of_signal[channel.signal_index], column:stop] = channel.rows
             column = stop
         for entries in _local_derivatives(segment, solution.gain, int(start)):

@@ -81,7 +81,7 @@ class NuisanceProjector(SegmentSignals, NuisanceSpace):
         residual = self.whiten(
             [[residual[None] for residual in segment.residuals] for segment in segments]
         )
-        lengths = [channel.rows.shape[1] for channel in residual.channels]
+        lengths = [channel.length for channel in residual.channels]
         NuisanceSpace.__init__(self, residual.dense()[0], lengths, basis, local, prior)
         # None: its law differs from that of the residual
         self._solution: ConvergedFit | None = None

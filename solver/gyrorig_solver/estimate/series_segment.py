@@ -161,7 +161,9 @@ class SignalWhitener:
         for axis in range(3):
             self._whiten_rows(axis)
         return tuple(
-            ChannelRows(np.array(self._index[axis], np.int64), rows[part][: len(self._index[axis])])
+            ChannelRows(
+                np.array(self._index[axis], np.int64), (rows[part][: len(self._index[axis])],)
+            )
             for part in range(len(self._segment.used))
             for axis, rows in enumerate(self._rows)
         )

@@ -19,10 +19,29 @@ from gyrorig_solver.data import FloatArray, IntArray, RealArray
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ChannelRows:
-    """The signals that act on one channel."""
+    """The signals that act on one channel.
+
+    Joined signals stay in the blocks of their groups, because a copy of hundreds of rows takes tens
+    of megabytes.
+    """
 
     signal_index: IntArray  # (r,), which of the signals, ascending
-    rows: RealArray  # (r, n)
+    blocks: tuple[RealArray, ...]  # rows of each group, (r, n) together
+
+    @property
+    def length(self) -> int:
+        """The number of values of a row."""
+        return int(self.blocks[0].shape[1])
+
+    @property
+    def rows(self) -> RealArray:
+        """All rows, (r, n); several blocks are copied."""
+        return self.blocks[0] if len(self.blocks) == 1 else np.concatenate(self.blocks)
+
+    def values(self, columns: slice) -> FloatArray:
+        """Return a part of all rows with double precision, (r, columns)."""
+        parts = [np.asarray(block[:, columns], dtype=np.float64) for block in self.blocks]
+        return parts[0] if len(parts) == 1 else np.concatenate(parts)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -37,19 +56,19 @@ class WhitenedSignals:
         """Return signals (k, all) unchanged, with zeros; `lengths`: of each channel."""
         every = np.arange(len(signals))
         parts = np.split(signals, np.cumsum(lengths)[:-1], axis=1)
-        return cls(len(signals), tuple(ChannelRows(every, part) for part in parts))
+        return cls(len(signals), tuple(ChannelRows(every, (part,)) for part in parts))
 
     @property
     def size(self) -> int:
         """The number of stored values."""
-        return sum(channel.rows.size for channel in self.channels)
+        return sum(channel.signal_index.size * channel.length for channel in self.channels)
 
     def dense(self) -> FloatArray:
         """Return all values, with the channels in sequence, (k, all)."""
-        signals = np.zeros((self.count, sum(channel.rows.shape[1] for channel in self.channels)))
+        signals = np.zeros((self.count, sum(channel.length for channel in self.channels)))
         first = 0
         for channel in self.channels:
-            stop = first + channel.rows.shape[1]
+            stop = first + channel.length
             signals[channel.signal_index, first:stop] = channel.rows
             first = stop
         return signals
@@ -63,8 +82,8 @@ def join_signals(groups: Sequence[WhitenedSignals]) -> WhitenedSignals:
     channels = []
     for channel_groups in zip(*(group.channels for group in groups), strict=True):
         index = [part.signal_index + at for part, at in zip(channel_groups, first, strict=False)]
-        rows = [part.rows for part in channel_groups]
-        channels.append(ChannelRows(np.concatenate(index), np.concatenate(rows)))
+        blocks = tuple(block for part in channel_groups for block in part.blocks)
+        channels.append(ChannelRows(np.concatenate(index), blocks))
     return WhitenedSignals(int(first[-1]), tuple(channels))
 
 

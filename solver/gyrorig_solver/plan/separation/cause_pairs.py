@@ -344,19 +344,29 @@ def expected_nats(
         new: the simulated recording.
     """
     old = own_recordings(old, pair.named)
-    outcomes = []
-    for truth, rival in pair.both_ways:
-        solution = new if _is_of_recording(rival or truth) else together(old, new)
-        projector = NuisanceProjector.of_effect(solution, pair.named, truth, solution.noises)
-        best = fit_candidate(projector, truth.term, fitted_place(truth), [truth.values])
-        true_nats = 0.0 if best is None else best.log_evidence
-        gain_nats = 0.0 if best is None else best.delta_log_likelihood
-        if rival is None:
-            outcomes.append((gain_nats, gain_nats))
-            continue
-        other = _fit_rival(projector, rival.term)
-        outcomes.append((true_nats - (0.0 if other is None else other.log_evidence), gain_nats))
-    return outcomes
+    return [
+        _expected_nats_of(
+            truth,
+            rival,
+            pair.named,
+            new if _is_of_recording(rival or truth) else together(old, new),
+        )
+        for truth, rival in pair.both_ways
+    ]
+
+
+def _expected_nats_of(
+    truth: FittedTerm, rival: FittedTerm | None, named: FittedTerm | None, solution: ConvergedFit
+) -> tuple[float, float]:
+    """Return the same for one truth, from a fit of the recordings with the named cause."""
+    projector = NuisanceProjector.of_effect(solution, named, truth, solution.noises)
+    best = fit_candidate(projector, truth.term, fitted_place(truth), [truth.values])
+    true_nats = 0.0 if best is None else best.log_evidence
+    gain_nats = 0.0 if best is None else best.delta_log_likelihood
+    if rival is None:
+        return gain_nats, gain_nats
+    other = _fit_rival(projector, rival.term)
+    return true_nats - (0.0 if other is None else other.log_evidence), gain_nats
 
 
 def _fit_rival(projector: NuisanceProjector, term: Term) -> FittedCandidate | None:
