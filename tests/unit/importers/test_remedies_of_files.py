@@ -122,3 +122,16 @@ def test_outliers_of_a_file_are_no_matter_of_a_bus(recording_path: Path) -> None
     (reason,) = [reason for reason in reasons if "outliers" in reason]
     assert "look at these samples in the original file" in reason
     assert "bus" not in reason
+
+
+@pytest.mark.parametrize(
+    ("link", "words"),
+    [
+        ("serial", "the unit's pan_sign and tilt_sign"),
+        ("file", "the signs of the reference's angles"),
+    ],
+)
+def test_three_wrong_signs_can_be_those_of_the_reference(link: str, words: str) -> None:
+    """A person who imported a file has no rig file with signs."""
+    axes, _ = check_gain(-np.eye(3), link=link)
+    assert f"{words} can be wrong instead" in axes.summary

@@ -12,13 +12,16 @@ import math
 import numpy as np
 
 from gyrorig_solver.data.arrays import FloatArray
-from gyrorig_solver.data.link_remedies import WRONG_AXES, WRONG_FULL_SCALE
+from gyrorig_solver.data.link_remedies import WRONG_AXES, WRONG_FULL_SCALE, LinkRemedy
 from gyrorig_solver.data.stream.count_stream import AXES, CheckResult, StreamFinding
 
 AXES_CHECK_NAME, FULL_SCALE_CHECK_NAME = "axes and signs", "full scale"
 MIRROR_CAUSES = ("axis_swap", "sign_flip")
 MAX_MOUNT_DISTANCE = 0.5  # of the unscaled gain from P; above it the mount is oblique
 MAX_POWER_OF_TWO_ERROR = 0.2  # of a scale from a power of two; data sheets allow 2 to 15 %
+REVERSED_TEXT = LinkRemedy(
+    rig="the unit's pan_sign and tilt_sign", file="the signs of the reference's angles"
+)
 TURNED_TEXT = (
     "the board is mounted in a rotated position: {how}. Exchanged axes would give the same data; "
     "check the mounting of the board"
@@ -95,7 +98,7 @@ def _check_axes(gain: FloatArray, link: str) -> CheckResult:
             "a board"
         )
         if len(negative) == 3:
-            summary += "; the unit's pan_sign and tilt_sign can be wrong instead"
+            summary += f"; {REVERSED_TEXT.for_link(link)} can be wrong instead"
         return _mirror_result(
             summary, (_axis_finding("sign_flip", "flipped", reversed_axes, summary, link),)
         )
