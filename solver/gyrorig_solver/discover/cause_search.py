@@ -97,7 +97,7 @@ class _Search(Generic[Space]):
         # Causes of the models to which none could be added.
         self._reviewed: list[frozenset[str]] = []
         self._limits = SearchLimits(base.effort)
-        self._rankings = RankingMemory[Space](self._terms, self._tests, self._limits.may_rank_laws)
+        self._rankings = RankingMemory[Space](self._terms, self._tests, self._limits.may_fit_laws)
 
     def run(self) -> SearchResult[Space]:
         """Add, remove and replace causes until none is significant; return the ranked result.
@@ -329,13 +329,14 @@ class _Search(Generic[Space]):
         return space
 
     def _ranked_result(self) -> SearchResult[Space]:
+        was_stopped = self._is_at_limit
         space, ranked_causes = self._rank()
         new_labels = [
             term_label(fitted_term.term)
             for fitted_term in space.fitted_terms
             if fitted_term not in self._known_terms
         ]
-        remarks = self._limits.remarks(self._memory, new_labels)
+        remarks = self._limits.remarks(self._memory, new_labels, was_stopped)
         if space is not self._space:
             space = space.confirm()
         keep = space is self._space and (not self._typical or space.has_typical_noise)

@@ -5,6 +5,8 @@ The effort counts work and no time, so that a search gives the same result on ev
 What to use when: one `SearchLimits` per search.
 """
 
+from collections.abc import Sequence
+
 from gyrorig_solver.discover.fit_space import SearchEffort, Space
 from gyrorig_solver.discover.search_memory import SearchMemory
 
@@ -45,16 +47,19 @@ class SearchLimits:
         """Return whether the search may fit no more models; `memory`: of the search."""
         return self._evaluations >= self.max_evaluations or memory.failed_fits >= MAX_FAILED_FITS
 
-    def may_rank_laws(self) -> bool:
+    def may_fit_laws(self) -> bool:
         """Return whether a ranking may fit further alternatives that change the motion law."""
         return self._evaluations < RANKING_FACTOR * self.max_evaluations
 
-    def remarks(self, memory: SearchMemory[Space], labels: list[str]) -> tuple[str, ...]:
-        """Return the remark that the search stopped at a limit; () if it did not.
+    def remarks(
+        self, memory: SearchMemory[Space], labels: Sequence[str], was_stopped: bool
+    ) -> tuple[str, ...]:
+        """Return the remark that a search or its final ranking stopped at a limit; () if not.
 
         Args:
             memory: of the search.
             labels: of the causes of its result.
+            was_stopped: whether the limit was reached before the final ranking.
         """
         if not self.are_reached(memory):
             return ()
@@ -63,8 +68,14 @@ class SearchLimits:
             if memory.failed_fits >= MAX_FAILED_FITS
             else f"{self.max_evaluations} evaluations of the likelihood"
         )
-        others = "" if self.may_rank_laws() else ", and not all alternatives to them were fitted"
+        names = ", ".join(labels) or "none"
+        if not was_stopped:
+            return (
+                f"the comparison of the causes with their alternatives stopped at the limit of "
+                f"{limit}, so that not all alternatives to these causes were fitted: {names}",
+            )
+        others = "" if self.may_fit_laws() else ", and not all alternatives to them were fitted"
         return (
             f"the search for causes stopped at its limit of {limit}; the causes that it had found "
-            f"are {', '.join(labels) or 'none'}, and other causes are possible{others}",
+            f"are {names}, and other causes are possible{others}",
         )

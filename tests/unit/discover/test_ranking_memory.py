@@ -123,11 +123,24 @@ def test_a_long_recording_has_fewer_evaluations(
     assert limits.max_evaluations == 3
     space.effort.refit_evaluations += 3
     assert limits.are_reached(memory)
-    assert limits.may_rank_laws()
-    (remark,) = limits.remarks(memory, [])
+    assert limits.may_fit_laws()
+    (remark,) = limits.remarks(memory, [], was_stopped=True)
     assert remark.endswith("are none, and other causes are possible")
     space.effort.refit_evaluations += 2
-    assert not limits.may_rank_laws()
-    (remark,) = limits.remarks(memory, ["backlash"])
+    assert not limits.may_fit_laws()
+    (remark,) = limits.remarks(memory, ["backlash"], was_stopped=True)
     assert "limit of 3 evaluations" in remark
     assert remark.endswith("and not all alternatives to them were fitted")
+
+
+def test_a_limit_in_the_final_ranking_is_not_the_end_of_a_search(
+    base: ConvergedFit, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    space = MotionFitSpace(base)
+    memory = SearchMemory(space)
+    assert SearchLimits(space.effort).remarks(memory, ["backlash"], was_stopped=False) == ()
+    monkeypatch.setattr(search_limits, "MAX_SEARCH_EVALUATIONS", 0)
+    limits = SearchLimits(space.effort)
+    (remark,) = limits.remarks(memory, ["backlash"], was_stopped=False)
+    assert remark.startswith("the comparison of the causes with their alternatives stopped")
+    assert remark.endswith("these causes were fitted: backlash")
