@@ -37,7 +37,7 @@ def _last_noise_ratios(solution: ConvergedFit) -> Mapping[str, FloatArray]:
 
 
 def noise_remarks(solution: ConvergedFit, chi2_factor: float) -> list[str]:
-    """Return remarks about noise in motion and about a multiplied covariance."""
+    """Return remarks about noise in motion, jitter, and a multiplied covariance."""
     remarks = []
     ratio = _last_noise_ratios(solution).get("in_motion")
     rounded = np.any([is_rounded_without_dither(noise) for noise in solution.noises], axis=0)
@@ -54,6 +54,11 @@ def noise_remarks(solution: ConvergedFit, chi2_factor: float) -> list[str]:
             + ", ".join(f"{value:.2f}" for value in ratio)
             + " times the noise at rest (x, y, z). The fit accounts for this. The usual cause is "
             "vibration of the motors"
+        )
+    if any(session.jitter_noise is not None for session in solution.sessions):
+        remarks.append(
+            "the noise is larger while the stage accelerates, on all axes in proportion to the "
+            "acceleration. The fit accounts for this. The usual cause is jitter of the sample times"
         )
     if chi2_factor > 1.0:
         remarks.append(

@@ -249,7 +249,7 @@ class NuisanceProjector(SegmentSignals, NuisanceSpace):
             std = np.sqrt(segment.noise.dct_variance(model.used.size)).T
             spectrum = dct(white, axis=-1, norm="ortho")
             if model.relative_std is not None:
-                spectrum = model.relative_std.divide_spectra(spectrum)
+                spectrum = model.relative_std.divide_adjoint(spectrum)
             weighted = idct(spectrum / std, axis=-1, norm="ortho")
             fill = gap_fill(model.used, segment.noise)
             signals.append((weighted * model.used if fill is None else fill.adjoint(weighted)).T)

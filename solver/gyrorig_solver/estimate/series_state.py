@@ -200,7 +200,8 @@ class SeriesState:
             residual -= part.sample_effect
         scaled = residual
         if relative_std is not None:
-            scaled = residual / np.repeat(relative_std.values.T, series.samples_per_block, axis=0)
+            std = relative_std.sample_values.T
+            scaled = residual / np.repeat(std, series.samples_per_block, axis=0)
         outliers = find_outliers(scaled, part.usable, quantum_rad_s)
         if outliers.any():
             std = robust_spread(residual, part.usable, quantum_rad_s)[1]

@@ -19,7 +19,7 @@ from gyrorig_solver.estimate.fitted_term import FittedTerm
 from gyrorig_solver.estimate.linear.normal_equations import NormalEquations, NormalEquationsSum
 from gyrorig_solver.estimate.linear.whitening import PartModel, WhitenedPart, whiten_residual
 from gyrorig_solver.estimate.motion_weights import MotionWeights
-from gyrorig_solver.estimate.noise.motion_noise import MotionNoise
+from gyrorig_solver.estimate.noise.jitter_noise import JitterNoise
 from gyrorig_solver.estimate.noise.noise_model import NoiseModel, Sampling
 from gyrorig_solver.estimate.noise.relative_std import RelativeStd
 from gyrorig_solver.estimate.part_model import predict_part
@@ -103,13 +103,13 @@ class SessionFit(RecordingSeries):
 
     @property
     def relative_variances(self) -> list[FloatArray | None]:
-        """The variance of the noise relative to that at rest, (n, 3) per series; None: 1."""
+        """The variance of the white noise relative to rest, (n, 3) per series; None: 1."""
         return self._weights.relative_variances(self._series_states)
 
     @property
-    def motion_noise(self) -> MotionNoise | None:
-        """The noise in motion; None: the noise is the same in motion."""
-        return self._weights.motion_noise
+    def jitter_noise(self) -> JitterNoise | None:
+        """Jitter of the sample times as noise; None: the residual shows none."""
+        return self._weights.jitter_noise
 
     def relative_std(self, series_index: int, blocks: slice) -> RelativeStd | None:
         """The noise of a part relative to that at rest; None: the same at all times."""
@@ -121,11 +121,11 @@ class SessionFit(RecordingSeries):
             whiten_residual(
                 [residual[part] for part in series.part_slices()],
                 noise,
-                None if variance is None else np.sqrt(variance),
+                [self.relative_std(index, part) for part in series.part_slices()],
                 [used[part] for part in series.part_slices()],
             )
-            for series, residual, variance, used in zip(
-                self.series, self.residuals(gain), self.relative_variances, self.used, strict=True
+            for index, (series, residual, used) in enumerate(
+                zip(self.series, self.residuals(gain), self.used, strict=True)
             )
         ]
 
@@ -153,7 +153,7 @@ class SessionFit(RecordingSeries):
         started = self.copy()
         started.bias_rad_s, started.lag_s = other.bias_rad_s, other.lag_s
         started.reference = other.reference
-        started._weights = MotionWeights.of(other.motion_noise, started._series_states)
+        started._weights = other._weights.at_states(started._series_states)
         for state, other_state in zip(started._series_states, other._series_states, strict=True):
             state.good = other_state.good.copy()
         return started
@@ -173,9 +173,9 @@ class SessionFit(RecordingSeries):
                 exact_state = self.signal_state(series_state.series, blocks, gain, exact=True)
                 yield series_index, blocks, model, coarse_state, exact_state
 
-    def take_motion_noise(self, motion_noise: MotionNoise | None) -> None:
+    def take_motion_noise(self, other: "SessionFit") -> None:
         """Use the noise in motion of another recording for the weights, at the present motion."""
-        self._weights = MotionWeights.of(motion_noise, self._series_states)
+        self._weights = other._weights.at_states(self._series_states)
 
     def estimate_lag(self) -> None:
         """Estimate the lag by the correlation of measured and reference speed."""
@@ -296,7 +296,7 @@ class SessionFit(RecordingSeries):
         if self.sampling.differentiated:  # the noise of the reference is larger in motion
             return False
         before = self._weights
-        self._weights = before.updated(self._series_states, self.residuals(gain), noise)
+        self._weights = before.updated(self._series_states, self.residuals(gain), gain, noise)
         return self._weights is not before
 
     def noise_ratios(self) -> dict[str, FloatArray]:

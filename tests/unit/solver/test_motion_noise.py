@@ -91,7 +91,7 @@ def test_white_noise_is_weighted_exactly() -> None:
     rng = np.random.default_rng(1)
     std = rng.uniform(1.0, 3.0, size=(400, 3))
     residual = std * rng.normal(size=(400, 3))
-    white = whiten_residual([residual], NOISE, std)
+    white = whiten_residual([residual], NOISE, [RelativeStd(std.T, keeps_constant=False)])
     assert np.allclose(white, residual / std / (WHITE * np.sqrt(RATE_HZ / 2.0)))
 
 
@@ -148,7 +148,8 @@ def test_equal_noise_gives_the_same_fit_as_without_the_estimate(
 ) -> None:
     case = Case("no motor noise", "planned-75.yaml", number=1)
     fit = solve_case(case, 1)
-    assert fit.sessions[0].motion_noise is None
+    assert not fit.sessions[0].noise_ratios()
+    assert fit.sessions[0].jitter_noise is None
     monkeypatch.setattr(SessionFit, "update_motion_noise", lambda *_: False)
     without = solve_case(case, 1)
     assert np.array_equal(fit.estimate, without.estimate)

@@ -219,10 +219,11 @@ def _block_coefficients(
         projection.states, projection.split_parts(left), strict=True
     ):
         unit_effect, values_at_rest = SampleJitter().unit_effect(scene), white
-        if model.relative_std is not None and with_motion_noise:
-            unit_effect = unit_effect / model.relative_std.values.T
-        elif model.relative_std is not None:
-            values_at_rest = white * model.relative_std.values
+        if model.relative_std is not None:
+            values_at_rest = model.relative_std.multiply_signals(white)
+            if with_motion_noise:
+                unit_effect = unit_effect / model.relative_std.values.T
+                values_at_rest = values_at_rest / model.relative_std.values
         whole = white.shape[1] // BLOCK_LENGTH
         inside = slice(0, whole * BLOCK_LENGTH)
         used: BoolArray = np.all(model.used[inside].reshape(whole, BLOCK_LENGTH), axis=1)

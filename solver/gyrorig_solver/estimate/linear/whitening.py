@@ -154,7 +154,7 @@ class WhitenedPart:
         relative_std = part.relative_std
         if relative_std is not None:
             columns = np.stack([relative_std.divide_spectra(columns[k], k) for k in range(3)])
-            packed_signals = packed_signals / relative_std.values[:, None]
+            packed_signals = relative_std.divide_local(packed_signals)
         packed_signals = np.asarray(packed_signals, dtype=np.float64)
         return cls(columns, packed, packed_signals, std, relative_std, fill)
 
@@ -221,7 +221,7 @@ def _clipped_axis_columns(
 def whiten_residual(
     residuals: Sequence[FloatArray],
     noise: NoiseModel,
-    relative_std: FloatArray | None = None,
+    relative_stds: Sequence[RelativeStd | None] = (),
     used: Sequence[BoolArray] | None = None,
 ) -> FloatArray:
     """Return a series' residual in units of its standard deviation, white, shape (n, 3).
@@ -229,7 +229,7 @@ def whiten_residual(
     Args:
         residuals: of its parts, zero where unused, shape (n_p, 3) each.
         noise: its density.
-        relative_std: of the noise, shape (n, 3); None if it is the same at all times.
+        relative_stds: of each part's noise; None if it is the same at all times.
         used: which rows of each part are used; None: all.
     """
     whitened_parts = []
@@ -237,6 +237,8 @@ def whiten_residual(
         fill = None if used is None else gap_fill(used[k], noise)
         signals = residual.T if fill is None else fill.fill(residual.T)
         spectrum = orthonormal_dct(signals) / np.sqrt(noise.dct_variance(residual.shape[0]).T)
+        relative_std = relative_stds[k] if relative_stds else None
+        if relative_std is not None:
+            spectrum = relative_std.divide_spectra(spectrum)
         whitened_parts.append(idct(spectrum, axis=-1, norm="ortho").T)
-    whitened = np.concatenate(whitened_parts)
-    return np.asarray(whitened if relative_std is None else whitened / relative_std, np.float64)
+    return np.asarray(np.concatenate(whitened_parts), np.float64)

@@ -35,6 +35,20 @@ class RelativeStd:
         """
         return self._scale(spectra, 1.0 / (self.values if axis is None else self.values[axis]))
 
+    @property
+    def white_variance(self) -> FloatArray:
+        """The variance of white noise below the bandwidth, relative to that at rest, (3, n)."""
+        return np.asarray(self.values**2, np.float64)
+
+    @property
+    def sample_values(self) -> FloatArray:
+        """The standard deviation of a sample, not whitened, relative to that at rest, (3, n)."""
+        return self.values
+
+    def divide_adjoint(self, spectra: FloatArray) -> FloatArray:
+        """Return the adjoint of `divide_spectra` for all axes, shape (..., 3, n)."""
+        return self.divide_spectra(spectra)
+
     def divide_signals(self, signals: RealArray, axis: int) -> RealArray:
         """Return white signals of one sensor axis, (k, n), divided; see `divide_spectra`."""
         std = self.values[axis].astype(signals.dtype)
@@ -44,16 +58,31 @@ class RelativeStd:
             divided += constant - divided.mean(axis=-1, keepdims=True)
         return divided
 
+    def divide_local(self, signals: FloatArray) -> FloatArray:
+        """Return white signals (3, k, n) that act at few samples, divided."""
+        return np.asarray(signals / self.values[:, None], np.float64)
+
     def multiply_spectra(self, spectra: FloatArray) -> FloatArray:
         """Return the inverse of `divide_spectra` for all axes, shape (..., 3, n)."""
         return self._scale(spectra, self.values)
 
+    def multiply_signals(self, signals: FloatArray) -> FloatArray:
+        """Return white signals (3, n) before their division; see `multiply_spectra`."""
+        spectra = self.multiply_spectra(orthonormal_dct(signals))
+        return np.asarray(idct(spectra, axis=-1, norm="ortho"), np.float64)
+
     def _scale(self, spectra: FloatArray, factor: FloatArray) -> FloatArray:
-        work = spectra
-        if self.keeps_constant:
-            work = spectra.copy()
-            work[..., 0] = 0.0
-        scaled = orthonormal_dct(idct(work, axis=-1, norm="ortho") * factor)
+        signals = idct(self._without_constant(spectra), axis=-1, norm="ortho")
+        return self._with_constant(orthonormal_dct(signals * factor), spectra)
+
+    def _without_constant(self, spectra: FloatArray) -> FloatArray:
+        if not self.keeps_constant:
+            return spectra
+        work = spectra.copy()
+        work[..., 0] = 0.0
+        return work
+
+    def _with_constant(self, scaled: FloatArray, spectra: FloatArray) -> FloatArray:
         if self.keeps_constant:
             scaled[..., 0] = spectra[..., 0]
         return scaled
@@ -61,7 +90,7 @@ class RelativeStd:
 
 def mean_white_power(parts: Sequence[RelativeStd | None]) -> FloatArray | None:
     """Return the mean variance of a series' noise relative to that at rest, (3,); None: 1."""
-    means = [np.mean(part.values**2, axis=1) for part in parts if part is not None]
+    means = [np.mean(part.white_variance, axis=1) for part in parts if part is not None]
     return np.mean(means, axis=0) if means else None
 
 

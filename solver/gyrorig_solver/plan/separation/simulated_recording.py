@@ -93,7 +93,7 @@ def simulate_recording(
     session.bias_rad_s, session.lag_s = last.bias_rad_s.copy(), last.lag_s
     session.fitted_terms = solution.fitted_terms
     session.update_prediction(solution.gain, detect_outliers=False, new_derivatives=True)
-    session.take_motion_noise(last.motion_noise)
+    session.take_motion_noise(last)
     return replace(
         solution, sessions=(session,), noises=(solution.noises[solution.offset_recording],)
     )
