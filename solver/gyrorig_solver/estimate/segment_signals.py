@@ -149,16 +149,13 @@ class SegmentSignals:
             self._cached_term = term_label(term)
         return self._exact_cascades if exact else self._cascades
 
-    def unwhiten(self, white_signal: FloatArray, as_if_at_rest: bool = False) -> list[FloatArray]:
-        """Return a whitened signal (all,) as rates, (n, 3) per part; 0 where unused.
-
-        `as_if_at_rest`: scale noise in motion down to that at rest.
-        """
+    def unwhiten(self, white_signal: FloatArray) -> list[FloatArray]:
+        """Return a whitened signal (all,) as rates, (n, 3) per part; 0 where unused."""
         rates = []
         for segment, model, white in self.split_parts(white_signal):
             std = np.sqrt(segment.noise.dct_variance(model.used.size)).T
             spectrum = dct(white, axis=-1, norm="ortho")
-            if model.relative_std is not None and not as_if_at_rest:
+            if model.relative_std is not None:
                 spectrum = model.relative_std.multiply_spectra(spectrum)
             rate = idct(spectrum * std, axis=-1, norm="ortho").T
             rates.append(np.where(model.used[:, None], rate, 0.0))

@@ -159,9 +159,8 @@ class AttitudeProjector(NuisanceProjector):
             )
         ]
 
-    def unwhiten(self, white_signal: FloatArray, as_if_at_rest: bool = False) -> list[FloatArray]:
+    def unwhiten(self, white_signal: FloatArray) -> list[FloatArray]:
         """Return a whitened signal (all,) as rates in the band, (n, 3) per segment."""
-        del as_if_at_rest  # the scatter of a segment does not come from the motors
         return [
             whitener.unwhiten(white_part, segment.block_count)
             for whitener, white_part, segment in zip(
