@@ -191,7 +191,7 @@ class BoardFit:
         self._fit_noise()
 
     def update_motion_noise(self) -> bool:
-        """Estimate the noise in motion of each recording; return whether any weights changed."""
+        """Estimate noise in motion and jitter of each recording; return whether weights changed."""
         changed = [
             session.update_motion_noise(self.gain, noise)
             for session, noise in zip(self.sessions, self.noises, strict=True)

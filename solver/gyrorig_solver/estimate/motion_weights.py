@@ -26,7 +26,7 @@ MAX_LOG_JITTER_CHANGE = 0.015  # of its standard deviation; smaller changes keep
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MotionWeights:
-    """The noise in motion of a recording, and the motion at which it was estimated."""
+    """The noise in motion and the jitter of a recording, with the weights at its motion."""
 
     motion_noise: MotionNoise | None = None  # None: the sensor's noise is the same in motion
     jitter_noise: JitterNoise | None = None  # None: the residual shows no jitter
@@ -141,7 +141,7 @@ def _relative_std(
     if motion_noise is not None:
         variance = motion_noise.relative_variance(rate)
     if jitter_noise is not None:
-        return jitter_noise.whitening(rate, state.used[blocks], variance, keeps_constant)
+        return jitter_noise.relative_std(rate, state.used[blocks], variance, keeps_constant)
     return RelativeStd(np.ascontiguousarray(np.sqrt(variance).T), keeps_constant)
 
 

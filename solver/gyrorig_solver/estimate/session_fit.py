@@ -174,7 +174,7 @@ class SessionFit(RecordingSeries):
                 yield series_index, blocks, model, coarse_state, exact_state
 
     def take_motion_noise(self, other: "SessionFit") -> None:
-        """Use the noise in motion of another recording for the weights, at the present motion."""
+        """Use the noise in motion and the jitter of another recording, at the present motion."""
         self._weights = other._weights.at_states(self._series_states)
 
     def estimate_lag(self) -> None:
@@ -287,7 +287,7 @@ class SessionFit(RecordingSeries):
         self.derivatives.release()
 
     def update_motion_noise(self, gain: FloatArray, noise: NoiseModel) -> bool:
-        """Estimate the noise in motion; return whether that changed the weights.
+        """Estimate the noise in motion and the jitter; return whether that changed the weights.
 
         Args:
             gain: G, shape (3, 3).

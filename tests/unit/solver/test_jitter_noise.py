@@ -77,7 +77,7 @@ def test_transients_at_starts_and_stops_are_no_jitter() -> None:
 
 def jitter_std() -> JitterStd:
     jitter = JitterNoise(1e-3, np.eye(3), NOISE)
-    return jitter.whitening(stage_rate(), ALL_USED, np.ones((COUNT, 3)), keeps_constant=False)
+    return jitter.relative_std(stage_rate(), ALL_USED, np.ones((COUNT, 3)), keeps_constant=False)
 
 
 def whitened(residual: FloatArray) -> FloatArray:
@@ -90,11 +90,11 @@ def test_the_whitened_noise_has_a_variance_of_one_at_all_times() -> None:
     for seed in range(20):
         rng = np.random.default_rng(seed)
         squares += whitened(sensor_noise(rng) + jitter_of(1e-3, rng)) ** 2 / 20
-    level = jitter_std().level.T
+    group = jitter_std().group.T
     assert squares.max() < 4.0  # chi-square of 20 degrees of freedom, over them
     for axis in range(3):
-        for k in (0, level[:, axis].max()):
-            assert np.mean(squares[level[:, axis] == k, axis]) == pytest.approx(1.0, abs=0.08)
+        for k in (0, group[:, axis].max()):
+            assert np.mean(squares[group[:, axis] == k, axis]) == pytest.approx(1.0, abs=0.08)
 
 
 @pytest.mark.parametrize("axis", range(3))

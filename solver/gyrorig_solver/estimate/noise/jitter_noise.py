@@ -12,8 +12,8 @@ and stops of moves reach these frequencies, too, but only in some blocks of an a
 acts in all of them. Therefore the solver compares the median over blocks with the mean. The noise
 of the axes counts as independent, although one delay acts on all of them.
 
-What to use when: `estimate_jitter_noise` at a converged fit; `JitterNoise.whitening` for the
-weights.
+What to use when: `estimate_jitter_noise` at a converged fit; `JitterNoise.relative_std` for
+the weights.
 """
 
 from collections.abc import Sequence
@@ -39,9 +39,9 @@ CHI2_MEDIAN = (1.0 - 2.0 / (9.0 * BLOCK / 2.0)) ** 3
 MEDIAN_STD = 1.2533  # of a median, relative to that of a mean
 MAD_STD = 1.4826  # standard deviation over the median absolute deviation
 BAND_POINTS = 512
-LEVELS = 3  # of jitter; each is whitened with one density
-LEVEL_FACTOR = 8.0  # between the variances of two levels
-NEIGHBOURS = 2  # samples next to a level that are whitened like it
+GROUPS = 3  # of samples with similar jitter; each is whitened with one density
+GROUP_FACTOR = 8.0  # between the variances of two groups
+NEIGHBOURS = 2  # samples next to a group that are whitened like it
 NEGLIGIBLE_DENSITY = 0.05  # of jitter, relative to the smallest density of the noise
 
 
@@ -53,7 +53,7 @@ class JitterNoise:
     gain: FloatArray  # G, (3, 3), which transforms stage rates to the sensor
     noise: NoiseModel  # at rest
 
-    def whitening(
+    def relative_std(
         self,
         rate_rad_s: FloatArray,
         used: BoolArray,
@@ -72,15 +72,15 @@ class JitterNoise:
         at_rest = self.noise.dct_variance(used.size).T  # (3, n)
         white = (0.5 * rate_hz * (self.noise.levels[:, 0] + self.noise.flat_density))[:, None]
         jitter = self._variance(rate_rad_s, used).T
-        level = _levels(jitter, self._negligible_variance(used.size))
-        typical = np.stack([_weighted_mean(jitter * (level == k)) for k in range(LEVELS + 1)])
+        group = _assign_groups(jitter, self._negligible_variance(used.size))
+        typical = np.stack([_weighted_mean(jitter * (group == k)) for k in range(GROUPS + 1)])
         typical[0] = 0.0
-        of_sample = np.take_along_axis(typical[:, :, 0].T, level, axis=1)
+        of_sample = np.take_along_axis(typical[:, :, 0].T, group, axis=1)
         motion = relative_variance.T
         return JitterStd(
             np.ascontiguousarray(np.sqrt(motion)),
             keeps_constant,
-            level,
+            group,
             np.asarray(np.sqrt((white * motion + jitter) / (white + of_sample))),
             np.asarray(np.sqrt(at_rest / (at_rest + typical))),
             np.asarray(jitter / white),
@@ -112,7 +112,7 @@ class _Blocks:
     unit_effects: FloatArray  # (b,), what a squared jitter of 1 s^2 adds to each
 
     def estimate_square(self) -> float:
-        """Return the squared jitter; 0 if some blocks are not significant or differ from others."""
+        """Return the squared jitter; 0 if it is not significant, or acts in some blocks only."""
         if self.squares.size < MIN_BLOCKS:
             return 0.0
         excess = (self.squares - 1.0) / self.unit_effects
@@ -202,8 +202,8 @@ def _slopes_rad_s2(rate_rad_s: FloatArray, used: BoolArray, rate_hz: float) -> F
     return np.asarray(np.gradient(np.stack(filled), axis=1).T * rate_hz, np.float64)
 
 
-def _levels(jitter: FloatArray, smallest: FloatArray) -> IntArray:
-    """Return the level of each sample, (3, n): 0 for negligible jitter, `LEVELS` for the largest.
+def _assign_groups(jitter: FloatArray, smallest: FloatArray) -> IntArray:
+    """Return the group of each sample, (3, n): 0 for negligible jitter, `GROUPS` for the largest.
 
     Args:
         jitter: variance, (3, n).
@@ -211,10 +211,10 @@ def _levels(jitter: FloatArray, smallest: FloatArray) -> IntArray:
     """
     largest = _weighted_mean(jitter)
     ratio = np.divide(jitter, largest, out=np.zeros_like(jitter), where=largest > 0.0)
-    below = np.searchsorted(LEVEL_FACTOR ** -np.arange(LEVELS - 1.0, 0.0, -1.0), ratio) + 1
-    level = np.where(jitter > smallest, below, 0)
-    # The whitening at a level amplifies the larger jitter of the next samples.
-    padded = np.pad(level, ((0, 0), (NEIGHBOURS, NEIGHBOURS)))
+    limits = GROUP_FACTOR ** -np.arange(GROUPS - 1.0, 0.0, -1.0)
+    group = np.where(jitter > smallest, np.searchsorted(limits, ratio) + 1, 0)
+    # The whitening of a group amplifies the larger jitter of the next samples.
+    padded = np.pad(group, ((0, 0), (NEIGHBOURS, NEIGHBOURS)))
     windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * NEIGHBOURS + 1, axis=1)
     return np.asarray(windows.max(axis=-1), np.int64)
 

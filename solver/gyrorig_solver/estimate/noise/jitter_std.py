@@ -1,8 +1,8 @@
 """Whitening of a part whose samples have jitter while the stage accelerates.
 
 Jitter adds a density J(t) that is equal at all frequencies; see `jitter_noise`. The samples are
-divided into levels of similar J. Those of level l are whitened as if the noise had everywhere the
-density S(f) + F_l, with F_l the typical J of the level, and are then divided by the standard
+divided into groups of similar J. Those of group g are whitened as if the noise had everywhere the
+density S(f) + F_g, with F_g the typical J of the group, and are then divided by the standard
 deviation relative to it. F_0 is zero.
 
 What to use when: `JitterStd` in place of a `RelativeStd`.
@@ -28,9 +28,9 @@ class JitterStd(RelativeStd):
     `values` are those of the white noise in motion, as without jitter.
     """
 
-    level: IntArray  # (3, n), l of each sample
-    level_values: FloatArray  # (3, n), std relative to that of S(f) + F_l
-    spectral_ratios: FloatArray  # (levels, 3, n), square root of S / (S + F_l) of each coefficient
+    group: IntArray  # (3, n), g of each sample
+    group_values: FloatArray  # (3, n), std relative to that of S(f) + F_g
+    spectral_ratios: FloatArray  # (groups, 3, n), square root of S / (S + F_g) of each coefficient
     added_variance: FloatArray  # (3, n), J / S of white noise
     added_sample_variance: FloatArray  # (3, n), variance by jitter / that of a sample at rest
 
@@ -45,7 +45,7 @@ class JitterStd(RelativeStd):
         return np.asarray(np.sqrt(self.values**2 + self.added_sample_variance), np.float64)
 
     def divide_spectra(self, spectra: FloatArray, axis: int | IntArray | None = None) -> FloatArray:
-        """Return white spectra of samples, each divided as at its level.
+        """Return white spectra of samples, each divided as those of its group.
 
         Args:
             spectra: shape (k, n) of one sensor axis, or (..., 3, n).
@@ -56,10 +56,10 @@ class JitterStd(RelativeStd):
 
     def divide_adjoint(self, spectra: FloatArray) -> FloatArray:
         """Return the adjoint of `divide_spectra` for all axes, shape (..., 3, n)."""
-        signals = idct(self._without_constant(spectra), axis=-1, norm="ortho") / self.level_values
+        signals = idct(self._without_constant(spectra), axis=-1, norm="ortho") / self.group_values
         total = np.zeros_like(signals)
         for k, ratio in enumerate(self.spectral_ratios):
-            total += orthonormal_dct(np.where(self.level == k, signals, 0.0)) * ratio
+            total += orthonormal_dct(np.where(self.group == k, signals, 0.0)) * ratio
         return self._with_constant(total, spectra)
 
     def divide_signals(self, signals: RealArray, axis: int) -> RealArray:
@@ -93,26 +93,26 @@ class JitterStd(RelativeStd):
     def _mix(
         self, spectra: FloatArray, ratios: FloatArray, rows: int | slice | IntArray
     ) -> FloatArray:
-        """Return signals of spectra, each sample with the whitening of its level."""
-        level = self.level[rows]
+        """Return signals of spectra, each sample with the whitening of its group."""
+        group = self.group[rows]
         mixed = idct(spectra, axis=-1, norm="ortho")
         for k in range(1, len(ratios)):
-            if (level == k).any():
-                of_level = idct(spectra * ratios[k], axis=-1, norm="ortho")
-                mixed = np.where(level == k, of_level, mixed)
-        return np.asarray(mixed / self.level_values[rows], np.float64)
+            if (group == k).any():
+                of_group = idct(spectra * ratios[k], axis=-1, norm="ortho")
+                mixed = np.where(group == k, of_group, mixed)
+        return np.asarray(mixed / self.group_values[rows], np.float64)
 
     def _multiply(self, divided: FloatArray, axis: int) -> FloatArray:
         """Return the signal (n,) whose division gives this one, of one sensor axis."""
-        if not self.level[axis].any():
-            return np.asarray(divided * self.level_values[axis], np.float64)
+        if not self.group[axis].any():
+            return np.asarray(divided * self.group_values[axis], np.float64)
         ratios = self.spectral_ratios[:, axis]
         operator = LinearOperator(
             (divided.size, divided.size),
             matvec=lambda signal: self._mix(orthonormal_dct(signal.ravel()), ratios, axis),
             dtype=np.float64,
         )
-        start = divided * self.level_values[axis]
+        start = divided * self.group_values[axis]
         return np.asarray(
             gmres(
                 operator,
