@@ -29,6 +29,7 @@ from gyrorig_solver.discover.extended_fit import extend_fit, refit_events
 from gyrorig_solver.discover.fit_space import FitSpace, NoiseAlternative, Space
 from gyrorig_solver.discover.fitted_values import wald_p_value
 from gyrorig_solver.discover.held_out_gain import cross_validate_causes
+from gyrorig_solver.discover.joint_fit import fit_pair
 from gyrorig_solver.discover.law_candidates import fit_law_cause
 from gyrorig_solver.discover.model_evidence import best_model
 from gyrorig_solver.discover.ranking_memory import RankingMemory
@@ -278,8 +279,12 @@ class _Search(Generic[Space]):
         if extended.convergence.converged or value_indices(extension.term, role="event"):
             extended = refit_events(extended)
         if not extended.convergence.converged:
-            self._memory.leave_out(name, extended)
-            return
+            left_out = self._left_out
+            pair = fit_pair(self._space, extended, extension, self._terms, left_out, self._tests)
+            if pair is None:
+                self._memory.leave_out(name, extended)
+                return
+            extended = pair
         alternative = None
         if self._typical:
             alternative = self._space.noise_alternative(

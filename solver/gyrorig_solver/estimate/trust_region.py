@@ -35,7 +35,8 @@ REFRESH_GAIN_RATIO = 0.25  # a step with a lower ratio renews the derivatives
 GOOD_GAIN_RATIO = 0.75  # a step with a higher ratio reduces the damping
 FIRST_DAMPING, MIN_DAMPING, MAX_DAMPING = 1e-2, 1e-4, 1e6  # of the diagonal of the information
 DAMPING_FACTOR = 10.0
-# Small steps in one direction that decrease slowly are extrapolated (Aitken) after this many.
+# Small steps in one direction that decrease slowly are extrapolated (Aitken) after this many
+# evaluations; steps that alternate at once.
 PLAIN_EVALUATIONS = 12
 MIN_SHRINKAGE, MAX_SHRINKAGE, MIN_COSINE = 0.3, 0.95, 0.9
 # relative, of two full steps; with a smaller one, the second step starts a cycle
@@ -169,8 +170,8 @@ def minimise(
             return _not_converged(problem, full, evaluation)
         proposal = problem.propose(damping) if damping else full
         is_plain = not damping and full.predicted_decrease < INSIGNIFICANT_NATS
-        if is_plain and previous is not None and evaluation >= PLAIN_EVALUATIONS:
-            proposal = _extrapolate(full, previous)
+        if is_plain and previous is not None:
+            proposal = _extrapolate(full, previous, evaluation >= PLAIN_EVALUATIONS)
         previous = full if is_plain and proposal is full else None
         decrease = problem.evaluate(proposal)
         allowed = _allowed_increase(always_renew, evaluation, progress.lost_nats)
@@ -265,17 +266,25 @@ def _leads_back(full: ProposedStep, previous: list[FloatArray], restarts: bool) 
     return is_repeated
 
 
-def _extrapolate(full: ProposedStep, previous: ProposedStep) -> ProposedStep:
-    """Return the sum of all steps that would follow if they shrank as the last two did.
+def _extrapolate(full: ProposedStep, previous: ProposedStep, may_extend: bool) -> ProposedStep:
+    """Return the sum of all steps that would follow if they changed as the last two did.
 
-    Derivatives with small errors make the steps shrink by a constant factor.
+    Derivatives with small errors make the steps shrink by a constant factor. If the curvature of
+    the objective is twice that of its quadratic model, the steps alternate without an end. The sum
+    is then half a step.
+
+    Args:
+        full: the step.
+        previous: the step before it.
+        may_extend: whether the sum may be longer than the step.
     """
     length = float(np.linalg.norm(previous.sigmas))
     shrinkage = float(full.sigmas @ previous.sigmas) / max(length, 1e-30) ** 2
     cosine = shrinkage * length / max(float(np.linalg.norm(full.sigmas)), 1e-30)
-    if not (MIN_SHRINKAGE < shrinkage < MAX_SHRINKAGE and cosine > MIN_COSINE):
+    if abs(cosine) < MIN_COSINE:
         return full
-    return full.scaled(1.0 / (1.0 - shrinkage))
+    is_slow = may_extend and MIN_SHRINKAGE < shrinkage < MAX_SHRINKAGE
+    return full.scaled(1.0 / (1.0 - shrinkage)) if is_slow or shrinkage < -MIN_SHRINKAGE else full
 
 
 def _allowed_increase(is_strict: bool, evaluation: int, lost: float) -> float:

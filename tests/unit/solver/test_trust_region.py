@@ -253,3 +253,40 @@ def test_small_steps_that_change_nothing_end_the_fit() -> None:
     assert level.evaluations == LATE_EVALUATIONS
     # A fit that still moves, or that would gain something, goes on.
     assert not minimise(Plateau(size_sigma=0.2), MANY).converged
+
+
+@dataclass
+class Bowl:
+    """A parabola whose curvature is larger than the model's; the start is in the steps' unit."""
+
+    x: float = 1.0
+    curvature: float = 2.05
+    parameter_names: tuple[str, ...] = ("height",)
+
+    def propose(self, damping: float) -> ProposedStep:
+        step = np.array([-self.curvature * self.x / (1.0 + damping)])
+        predicted = float(-self.curvature * self.x * step[0] - 0.5 * step[0] ** 2)
+        return ProposedStep(step, (), predicted, step)
+
+    def evaluate(self, proposal: ProposedStep) -> float:
+        self.trial = self.x + float(proposal.step[0])
+        return 0.5 * self.curvature * (self.x**2 - self.trial**2)
+
+    def accept(self, new_derivatives: bool) -> None:
+        assert new_derivatives in (True, False)
+        self.x = self.trial
+
+    def renew_derivatives(self) -> bool:
+        return True
+
+    def finish(self, proposal: ProposedStep) -> None:
+        self.x += float(proposal.step[0])
+
+
+@pytest.mark.parametrize("curvature", [1.6, 2.05])
+def test_small_steps_that_alternate_are_summed(curvature: float) -> None:
+    bowl = Bowl(curvature=curvature)
+    solution = minimise(bowl, MANY)
+    assert solution.converged
+    assert solution.evaluations < LATE_EVALUATIONS
+    assert bowl.x == pytest.approx(0.0, abs=1e-2)
