@@ -2,10 +2,11 @@
 
 Forward: the search scores all causes and fits the best candidates and their confusable causes
 exactly. It adds the candidate with the most evidence to the full fit, until no leading cause is
-significant. Backward: the search removes a cause that the others make redundant. Then it compares
+significant. If the fit with the candidate does not converge, the search tries it together with a
+second cause. Backward: the search removes a cause that the others make redundant. Then it compares
 each cause with all alternatives, with all other causes fitted, and can replace it. It also fits
-weaker candidates. If one of these steps changes the model, the search continues. A fit that does
-not converge causes none of these steps. The result is the visited model with the most evidence.
+weaker candidates. If one of these steps changes the model, the search continues. No step accepts a
+fit that did not converge. The result is the visited model with the most evidence.
 
 What to use when: `search_causes` from a fit of the base model, for any kind of reference.
 """
@@ -37,7 +38,7 @@ from gyrorig_solver.discover.score_tests import FALSE_ALARM_RATE, CandidateScore
 from gyrorig_solver.discover.search_limits import SearchLimits
 from gyrorig_solver.discover.search_memory import SearchMemory
 from gyrorig_solver.discover.testable_terms import count_tests, select_testable, terms_not_fitted
-from gyrorig_solver.estimate import NuisanceProjector
+from gyrorig_solver.estimate import FittedTerm, NuisanceProjector
 from gyrorig_solver.model import Term, term_label, value_indices
 
 MAX_CAUSES = 16
@@ -279,8 +280,7 @@ class _Search(Generic[Space]):
         if extended.convergence.converged or value_indices(extension.term, role="event"):
             extended = refit_events(extended)
         if not extended.convergence.converged:
-            left_out = self._left_out
-            pair = fit_pair(self._space, extended, extension, self._terms, left_out, self._tests)
+            pair = self._fit_pair(extension, extended)
             if pair is None:
                 self._memory.leave_out(name, extended)
                 return
@@ -303,6 +303,16 @@ class _Search(Generic[Space]):
             self._excluded.add(name)  # it was removed at once: do not try it again
         self._memory.visit(extended)
         self._continue_with(extended)
+
+    def _fit_pair(self, extension: FittedTerm, failed: Space) -> Space | None:
+        """Fit a cause, whose fit alone failed, together with a second one; None without a fit."""
+        terms = [
+            term
+            for term in terms_not_fitted(self._terms, failed.labels)
+            if term_label(term) not in self._left_out
+        ]
+        projection = failed.projector(self._typical)
+        return fit_pair(self._space, extension, projection, terms, self._tests)
 
     def _drop_insignificant(self, space: Space) -> Space:
         """Remove the causes that are not significant in addition to the others.
